@@ -1,0 +1,1 @@
+"""Drivers of the goniometer, polarizer and spectrometer hardware."""

@@ -1,0 +1,1 @@
+"""The simulated ARTA: one virtual optical bench behind wire front ends."""
