@@ -1,7 +1,7 @@
 """Which datasets `/entry/data` holds, and the unit and quantity that each of them declares.
 
-NXdata of n positions (rows) and m wavelengths (columns).  Everything is chunked by rows and uncompressed, so that the
-cost of a position is constant and a file tells by its size how much it can hold.
+NXdata of n positions (rows) and m wavelengths (columns).  Everything is chunked by rows and uncompressed, so
+that the cost of a position is constant and a file tells by its size how much it can hold.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ SPECTRUM_GROUPS = ("sphere", "simulated_truth")
 
 
 def chunk_rows(n_wavelength: int) -> int:
-    """Return the rows of a chunk of about 16 KiB: small enough to rewrite at every position, and few enough."""
+    """Return the rows of a chunk of about 16 KiB: cheap to rewrite at every position."""
     return int(np.clip(16384 // (8 * n_wavelength), 1, 256))
 
 

@@ -24,21 +24,23 @@ UNUSABLE = Quality.OVER_RANGE | Quality.REFUSED | Quality.NOT_MEASURED
 class Scan:
     """A scan of n positions and m wavelengths, as `gonio.load` returns it.
 
-    Only positions that were measured are here, in measuring order; an unfinished scan has fewer of them than its plan
-    (`finished` is false).  NaN in `r` means that there is no value; `quality` says why.
+    Only positions that were measured are here, in measuring order; an unfinished scan has fewer of them than
+    its plan (`finished` is false).  NaN in `r` means that there is no value; `quality` says why.
 
     Attributes
     ----------
     wavelength_nm : (m,) float64, set wavelength, ascending
     detector_index : (m,) uint8, index into `detector_names`
-    theta_i_deg, theta_mes_deg, theta_o_deg : (n,) float64, read back from the axes; theta_o = theta_mes - theta_i
+    theta_i_deg, theta_mes_deg, theta_o_deg : (n,) float64, read back from the axes;
+        theta_o = theta_mes - theta_i
     polarization : (n,) str, ``"s"`` or ``"p"``
     r : (n, m) float64, power caught by the aperture over incident power
-    r_sd : (n, m) float64, standard uncertainty of `r` from the noise of its own reading, independent from reading to
-        reading; NaN if the references were not repeated, so that nothing is known of the noise
-    raw_signal_v, dark_v, baseline_v : (n, m) float64, volts; dark and baseline interpolated to the time of the reading
-    gain_u : (n, m) float64, relative standard uncertainty of `r` from the 100 % baseline, an error that all positions
-        of one polarization share
+    r_sd : (n, m) float64, standard uncertainty of `r` from the noise of its own reading, independent from
+        reading to reading; NaN if the references were not repeated, so that nothing is known of the noise
+    raw_signal_v, dark_v, baseline_v : (n, m) float64, volts; dark and baseline interpolated in time to the
+        reading
+    gain_u : (n, m) float64, relative standard uncertainty of `r` from the 100 % baseline, an error that all
+        positions of one polarization share
     offset_u : (n, m) float64, standard uncertainty of `r` from the dark reading, shared likewise
     quality : (n, m) uint16, bits of `gonio.devices.Quality`
     time_s : (n,) float64, time of the first reading of each position since the scan began, instrument seconds
@@ -87,7 +89,7 @@ class Scan:
         return tuple(float(w) for w in halfway)
 
     def to_xarray(self) -> xarray.Dataset:
-        """Return an `xarray.Dataset` of dimensions (position, wavelength); each variable has ``units`` and ``quantity``."""
+        """Return an `xarray.Dataset` of dimensions (position, wavelength) with ``units`` and ``quantity``."""
         import xarray  # half a second to import, and few need it
 
         from gonio.store.layout import COLUMNS
