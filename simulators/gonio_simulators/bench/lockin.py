@@ -1,0 +1,175 @@
+"""The lock-in amplifier: the detector's signal through a first-order low-pass, with the noise that passes it.
+
+White noise whose 1 s average has standard deviation ``sigma_1`` (equivalent noise bandwidth 1/(2 * 1 s)) leaves a low-pass
+of time constant tau (equivalent noise bandwidth 1/(4 tau)) as an Ornstein-Uhlenbeck process with standard deviation
+``sigma_1 / sqrt(2 tau)``.  Both the mean and the noise are carried on exactly from one reading to the next, so
+readings closer than a time constant are correlated as on the real instrument.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gonio_simulators.clock import BenchClock
+
+MEMORY_TIME_CONSTANTS = 30.0
+"""What happened longer ago than this is forgotten: exp(-30) = 1e-13."""
+
+OVERLOAD = 1.09
+"""Output overload, as a fraction of full scale."""
+
+INPUT_LIMIT_V = 1.09
+"""Input overload of the voltage input (full range 1 V)."""
+
+STEPS_OF_FULL_SCALE = 32768
+
+
+@dataclass(frozen=True, slots=True)
+class DetectorSignal:
+    """What leaves the detector, and the white noise on it as standard deviations of a 1 s average; all in volts."""
+
+    mean_v: float
+    in_phase_sd_v: float  # everything that is modulated with the light: flicker, shot noise, floor
+    quadrature_sd_v: float
+
+
+@dataclass(frozen=True, slots=True)
+class LockinReading:
+    """One look at the outputs."""
+
+    x_v: float
+    y_v: float
+    input_overload: bool
+    output_overload: bool
+
+
+class Lockin:
+    """Evolves exactly to the present whenever it is asked.
+
+    Parameters
+    ----------
+    signal_at
+        Detector signal at a bench time.
+    moving_between
+        Start and end of everything that changes the signal within an interval, possibly overlapping.
+    clock, rng
+        Bench time and the source of the noise.
+    time_constant_s
+        Of the low-pass, when power comes on.
+    """
+
+    def __init__(
+        self,
+        signal_at: Callable[[float], DetectorSignal],
+        moving_between: Callable[[float, float], Sequence[tuple[float, float]]],
+        clock: BenchClock,
+        rng: np.random.Generator,
+        time_constant_s: float = 0.1,
+    ) -> None:
+        self._signal_at = signal_at
+        self._moving_between = moving_between
+        self.clock = clock
+        self._rng = rng
+        self._time_constant_s = time_constant_s
+        self.sensitivity_v = 1.0
+        self.phase_deg = 0.0
+        self._time_s = clock.now_s()
+        self._signal = signal_at(self._time_s)
+        self._mean_v = self._signal.mean_v
+        self._noise_x_v = 0.0
+        self._noise_y_v = 0.0
+
+    @property
+    def time_constant_s(self) -> float:
+        """Time constant of the low-pass, seconds."""
+        return self._time_constant_s
+
+    @time_constant_s.setter
+    def time_constant_s(self, value: float) -> None:
+        self.advance()
+        self._time_constant_s = value
+
+    def sample(self) -> tuple[float, float, bool, bool]:
+        """Return X and Y in volts, and whether the input and the output are overloaded.
+
+        The outputs are those of the instrument: limited to 1.09 of full scale (then the flag is up) and quantised to
+        full scale / 32768.
+        """
+        reading = self.read()
+        return reading.x_v, reading.y_v, reading.input_overload, reading.output_overload
+
+    def read(self) -> LockinReading:
+        """As `sample`, with names."""
+        self.advance()
+        phase = math.radians(self.phase_deg)
+        in_phase, quadrature = self._mean_v + self._noise_x_v, self._noise_y_v
+        x = in_phase * math.cos(phase) + quadrature * math.sin(phase)
+        y = quadrature * math.cos(phase) - in_phase * math.sin(phase)
+        limit = OVERLOAD * self.sensitivity_v
+        return LockinReading(
+            self._output(x),
+            self._output(y),
+            abs(self._signal.mean_v) > INPUT_LIMIT_V,
+            max(abs(x), abs(y)) > limit,
+        )
+
+    def _output(self, value_v: float) -> float:
+        limit = OVERLOAD * self.sensitivity_v
+        quantum = self.sensitivity_v / STEPS_OF_FULL_SCALE
+        return round(min(max(value_v, -limit), limit) / quantum) * quantum
+
+    def advance(self) -> None:
+        """Carry mean and noise on to the present."""
+        now_s = self.clock.now_s()
+        if now_s <= self._time_s:
+            return
+        tau = self._time_constant_s
+        start_s = max(self._time_s, now_s - MEMORY_TIME_CONSTANTS * tau)
+        for end_s, moving in self._pieces(start_s, now_s):
+            if moving:
+                self._follow(start_s, end_s)
+            else:
+                self._settle(end_s - start_s, self._signal_at(0.5 * (start_s + end_s)))
+            start_s = end_s
+        self._time_s = now_s
+        self._signal = self._signal_at(now_s)
+
+    def _pieces(self, start_s: float, end_s: float) -> list[tuple[float, bool]]:
+        """Cut an interval at every begin and end of a change; each piece as its end, and whether the signal changes."""
+        changes = self._moving_between(start_s, end_s)
+        if not changes:
+            return [(end_s, False)]
+        cuts = sorted({min(max(t, start_s), end_s) for change in changes for t in change} | {start_s, end_s})
+        return [
+            (b, any(s <= 0.5 * (a + b) < e for s, e in changes)) for a, b in zip(cuts, cuts[1:], strict=False)
+        ]
+
+    def _follow(self, start_s: float, end_s: float) -> None:
+        """Follow a changing signal in steps of half a time constant, straight in between."""
+        steps = max(1, math.ceil(2.0 * (end_s - start_s) / self._time_constant_s))
+        length = (end_s - start_s) / steps
+        tiny = 1e-9 * length  # inside the change, not at the instants where it begins and ends
+        before = self._signal_at(start_s + tiny)
+        for i in range(steps):
+            after = self._signal_at(start_s + (i + 1) * length - tiny)
+            self._settle(length, before, after)
+            before = after
+
+    def _settle(self, duration_s: float, before: DetectorSignal, after: DetectorSignal | None = None) -> None:
+        """Exact response to a signal that is constant, or goes straight from `before` to `after`."""
+        tau = self._time_constant_s
+        gain = -math.expm1(-duration_s / tau)
+        decay = 1.0 - gain
+        end = after or before
+        self._mean_v = decay * self._mean_v + gain * before.mean_v
+        if after is not None:
+            self._mean_v += (after.mean_v - before.mean_v) * (1.0 - gain * tau / duration_s)
+        # Ornstein-Uhlenbeck: variance sigma_1**2 / (2 tau) in the long run, reached as 1 - decay**2.
+        fresh = math.sqrt(gain * (1.0 + decay) / (2.0 * tau))
+        kick_x, kick_y = self._rng.standard_normal(2).tolist()
+        self._noise_x_v = decay * self._noise_x_v + fresh * end.in_phase_sd_v * kick_x
+        self._noise_y_v = decay * self._noise_y_v + fresh * end.quadrature_sd_v * kick_y

@@ -1,0 +1,216 @@
+"""The monochromator: which light leaves it, now and while its mechanics move.
+
+Every command takes bench time and starts when the previous one is done.  While the grating turns to another wavelength
+the light sweeps with it; while gratings, filters or the output mirror change, no light passes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from gonio_simulators.bench.config import BandTable, MonochromatorTable
+from gonio_simulators.clock import BenchClock
+
+SLEW_NM_S = 175.0  # drive of the grating
+SLEW_START_S = 0.02
+GRATING_CHANGE_S = 5.0
+FILTER_STEP_S = 0.8  # from one place of the wheel to the next
+OUTPUT_CHANGE_S = 1.0
+SHUTTER_S = 0.02
+SLIT_STEP_S = 0.5
+
+NOMINAL_SLIT_UM = 600.0
+"""Slit width at which the detectors see `full_beam_v`."""
+
+EVERYTHING_NM = (1.0, 100_000.0)
+
+
+@dataclass(frozen=True, slots=True)
+class LightPath:
+    """The state of everything between lamp and sample that the monochromator moves."""
+
+    wavelength_nm: float
+    grating: int
+    filter: int
+    shutter_open: bool
+    output_port: int
+    slit_um: float
+    blocked: bool = False  # a turret, wheel or mirror is between two places
+
+
+@dataclass(frozen=True, slots=True)
+class _Change:
+    start_s: float
+    end_s: float
+    before: LightPath
+    after: LightPath
+    dark: bool
+
+
+class Monochromator:
+    """Grating monochromator with an order-sorting filter wheel, a shutter and two or more output ports.
+
+    Parameters
+    ----------
+    table
+        Gratings and filters with the ranges they are meant for.
+    output_ports
+        The ports that have a detector.
+    clock
+        Bench time.
+    before_command
+        Called before each command changes the light, so that whoever integrates the past can do so first.
+    """
+
+    def __init__(
+        self,
+        table: MonochromatorTable,
+        output_ports: Sequence[int],
+        clock: BenchClock,
+        before_command: Callable[[], None] | None = None,
+    ) -> None:
+        everything = (BandTable(number=1, range_nm=EVERYTHING_NM),)
+        self.gratings: dict[int, tuple[float, float]] = {g.number: g.range_nm for g in table.gratings or everything}
+        self.filters: dict[int, tuple[float, float]] = {f.number: f.range_nm for f in table.filters or everything}
+        self.output_ports = tuple(output_ports)
+        self.clock = clock
+        self.before_command = before_command
+        grating, low = next((n, r[0]) for n, r in self.gratings.items())
+        self._now = LightPath(
+            wavelength_nm=max(low, 500.0) if low < 500.0 < self.gratings[grating][1] else low,
+            grating=grating,
+            filter=next(iter(self.filters)),
+            shutter_open=False,
+            output_port=self.output_ports[0],
+            slit_um=NOMINAL_SLIT_UM,
+        )
+        self._changes: list[_Change] = []
+        self.busy_until_s = 0.0
+
+    # -- commands; each raises ValueError for what the instrument does not have ------------------------------------
+
+    def goto(self, wavelength_nm: float) -> None:
+        """Turn the grating to a wavelength."""
+        low, high = self.wavelength_range_nm
+        if not low <= wavelength_nm <= high:
+            raise ValueError(f"wavelength = {wavelength_nm:g} nm is outside the drive's range {low:g}...{high:g} nm")
+        distance = abs(wavelength_nm - self._now.wavelength_nm)
+        duration = SLEW_START_S + distance / SLEW_NM_S if distance > 0 else 0.0
+        self._change(duration, replace(self._now, wavelength_nm=float(wavelength_nm)), dark=False)
+
+    def select_grating(self, number: int) -> None:
+        """Turn the turret to a grating."""
+        if number not in self.gratings:
+            raise ValueError(f"grating {number} is not fitted ({sorted(self.gratings)} are)")
+        duration = GRATING_CHANGE_S if number != self._now.grating else 0.0
+        self._change(duration, replace(self._now, grating=number), dark=True)
+
+    def select_filter(self, number: int) -> None:
+        """Turn the filter wheel."""
+        if number not in self.filters:
+            raise ValueError(f"filter {number} is not fitted ({sorted(self.filters)} are)")
+        duration = FILTER_STEP_S * abs(number - self._now.filter)
+        self._change(duration, replace(self._now, filter=number), dark=True)
+
+    def set_output_port(self, number: int) -> None:
+        """Send the light to another detector's port."""
+        if number not in self.output_ports:
+            raise ValueError(f"output port {number} is not fitted ({list(self.output_ports)} are)")
+        duration = OUTPUT_CHANGE_S if number != self._now.output_port else 0.0
+        self._change(duration, replace(self._now, output_port=number), dark=True)
+
+    def set_shutter(self, is_open: bool) -> None:
+        """Open or close the shutter."""
+        duration = SHUTTER_S if is_open != self._now.shutter_open else 0.0
+        self._change(duration, replace(self._now, shutter_open=is_open), dark=False)
+
+    def set_slit(self, width_um: float) -> None:
+        """Set the width of the slits."""
+        if not width_um > 0:
+            raise ValueError(f"slit = {width_um:g} um must be above zero")
+        duration = SLIT_STEP_S if width_um != self._now.slit_um else 0.0
+        self._change(duration, replace(self._now, slit_um=float(width_um)), dark=False)
+
+    def abort(self) -> None:
+        """Stop the grating where it is; changes that wait for it do not happen."""
+        if self.before_command is not None:
+            self.before_command()
+        now_s = self.clock.now_s()
+        here = self.state_at(now_s)
+        self._changes = [c for c in self._changes if c.end_s <= now_s]
+        self._now = replace(here, blocked=False)
+        self.busy_until_s = now_s
+
+    # -- questions -------------------------------------------------------------------------------------------------
+
+    def is_busy(self) -> bool:
+        """Say whether something still moves."""
+        return self.clock.now_s() < self.busy_until_s
+
+    @property
+    def wavelength_range_nm(self) -> tuple[float, float]:
+        """The wavelengths the drive can go to with any grating."""
+        ranges = self.gratings.values()
+        return min(r[0] for r in ranges), max(r[1] for r in ranges)
+
+    @property
+    def wavelength_nm(self) -> float:
+        """The true centre wavelength now."""
+        return self.state_at(self.clock.now_s()).wavelength_nm
+
+    @property
+    def grating(self) -> int:
+        """The grating in the beam, or the one that is being left."""
+        return self.state_at(self.clock.now_s()).grating
+
+    @property
+    def filter(self) -> int:
+        """The filter in the beam, or the one that is being left."""
+        return self.state_at(self.clock.now_s()).filter
+
+    @property
+    def shutter_open(self) -> bool:
+        """Whether light passes the shutter."""
+        return self.state_at(self.clock.now_s()).shutter_open
+
+    @property
+    def output_port(self) -> int:
+        """The port that has the light, or the one that is being left."""
+        return self.state_at(self.clock.now_s()).output_port
+
+    @property
+    def slit_um(self) -> float:
+        """The slit width."""
+        return self.state_at(self.clock.now_s()).slit_um
+
+    def state_at(self, time_s: float) -> LightPath:
+        """Return the light path at a bench time, back to the last `forget_before`."""
+        for change in self._changes:
+            if time_s < change.start_s:
+                return change.before
+            if time_s < change.end_s:
+                if change.dark:
+                    return replace(change.before, blocked=True)
+                part = (time_s - change.start_s) / (change.end_s - change.start_s)
+                a, b = change.before.wavelength_nm, change.after.wavelength_nm
+                return replace(change.before, wavelength_nm=a + (b - a) * part)
+        return self._now
+
+    def changes_between(self, start_s: float, end_s: float) -> list[tuple[float, float]]:
+        """Return the start and end of each change that overlaps an interval."""
+        return [(c.start_s, c.end_s) for c in self._changes if c.end_s > start_s and c.start_s < end_s]
+
+    def forget_before(self, time_s: float) -> None:
+        """Drop the history that nobody will ask for."""
+        if self._changes and self._changes[0].end_s <= time_s:
+            self._changes = [c for c in self._changes if c.end_s > time_s]
+
+    def _change(self, duration_s: float, after: LightPath, *, dark: bool) -> None:
+        if self.before_command is not None:
+            self.before_command()
+        start_s = max(self.clock.now_s(), self.busy_until_s)
+        if duration_s > 0:
+            self._changes.append(_Change(start_s, start_s + duration_s, self._now, after, dark))
+            self.busy_until_s = start_s + duration_s
+        self._now = after

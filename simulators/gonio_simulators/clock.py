@@ -1,0 +1,39 @@
+"""Bench time: how many seconds have passed on the simulated bench."""
+
+from __future__ import annotations
+
+import time
+
+
+class BenchClock:
+    """Monotonic bench seconds since the clock was made; one real second is `speed` bench seconds.
+
+    Parameters
+    ----------
+    speed
+        Bench seconds per real second, above zero.
+    """
+
+    def __init__(self, speed: float = 1.0) -> None:
+        self.speed = float(speed)
+        self._origin_s = time.monotonic()
+
+    def now_s(self) -> float:
+        """Return bench seconds since this clock was made."""
+        return (time.monotonic() - self._origin_s) * self.speed
+
+
+class ManualClock(BenchClock):
+    """A bench clock that stands still until it is told how far to go on; for calculations and tests."""
+
+    def __init__(self, now_s: float = 0.0) -> None:
+        super().__init__()
+        self._now_s = now_s
+
+    def now_s(self) -> float:
+        """Return the bench seconds that were advanced so far."""
+        return self._now_s
+
+    def advance(self, duration_s: float) -> None:
+        """Let `duration_s` bench seconds pass."""
+        self._now_s += duration_s
