@@ -65,7 +65,9 @@ class AxisTable(_Hardware):
             raise ValueError("steps_per_deg = 0: the axis would never move; give the steps of one degree")
         low, high = self.limits_deg
         if not low < high:
-            raise ValueError(f"limits_deg = [{low}, {high}] deg: the first must be below the second; correct them")
+            raise ValueError(
+                f"limits_deg = [{low}, {high}] deg: the first must be below the second; correct them"
+            )
         return self
 
 
@@ -85,7 +87,9 @@ class PolarizerTable(_Hardware):
     @model_validator(mode="after")
     def _distinct(self) -> Self:
         if self.s_deg == self.p_deg:
-            raise ValueError(f"s_deg and p_deg are both {self.s_deg:g} deg; give the rotator angles of S and of P")
+            raise ValueError(
+                f"s_deg and p_deg are both {self.s_deg:g} deg; give the rotator angles of S and of P"
+            )
         return self
 
 
@@ -152,7 +156,9 @@ class Spectrum(Strict):
     @model_validator(mode="after")
     def _is_table(self) -> Self:
         if len(self.wavelength_nm) != len(self.value):
-            raise ValueError(f"has {len(self.wavelength_nm)} wavelengths but {len(self.value)} values; give as many of each")
+            raise ValueError(
+                f"has {len(self.wavelength_nm)} wavelengths but {len(self.value)} values; give as many of each"
+            )
         if any(b <= a for a, b in zip(self.wavelength_nm, self.wavelength_nm[1:], strict=False)):
             raise ValueError("wavelength_nm must ascend strictly; sort the table and remove doubles")
         return self
@@ -182,7 +188,9 @@ class TruthTable(Strict):
     rho_d: Annotated[Spectrum, _spectrum_from(0.0, "a diffuse albedo is not negative")]
     rho_s: Annotated[Spectrum, _spectrum_from(0.0, "the weight of the lobe is not negative")]
     alpha: Annotated[Spectrum, _spectrum_from(0.0, "the exponent of the lobe is not negative")]
-    n2: Annotated[Spectrum, _spectrum_from(1.0, "light comes from air: n2 = 1 is no sample, above 1 a sample")]
+    n2: Annotated[
+        Spectrum, _spectrum_from(1.0, "light comes from air: n2 = 1 is no sample, above 1 a sample")
+    ]
 
 
 class BeamTable(Strict):
@@ -190,8 +198,12 @@ class BeamTable(Strict):
 
     width_mm: NotNegative = 1.0  # across the beam, in the plane of incidence
     height_mm: NotNegative = 1.0
-    divergence_deg: Annotated[float, Field(strict=True, ge=0, lt=10)] = 0.0  # full angle of a uniform square cone
-    polarization: Annotated[float, Field(strict=True, gt=-1, lt=1)] = 0.1  # (S - P)/(S + P) before the polarizer
+    divergence_deg: Annotated[float, Field(strict=True, ge=0, lt=10)] = (
+        0.0  # full angle of a uniform square cone
+    )
+    polarization: Annotated[float, Field(strict=True, gt=-1, lt=1)] = (
+        0.1  # (S - P)/(S + P) before the polarizer
+    )
 
 
 class SampleTable(Strict):
@@ -231,7 +243,9 @@ class AxisTruth(Strict):
 
     power_on_deg: Number | None = None
     backlash_deg: NotNegative = 0.05  # lost motion between motor and arm
-    limit_margin_deg: NotNegative = 1.0  # the switches stand this far outside limits_deg and the driver's overshoot
+    limit_margin_deg: NotNegative = (
+        1.0  # the switches stand this far outside limits_deg and the driver's overshoot
+    )
     obstacle_deg: Number | None = None  # something stands in the arm's way here: the motor stalls
 
 

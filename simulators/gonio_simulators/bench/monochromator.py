@@ -71,8 +71,12 @@ class Monochromator:
         before_command: Callable[[], None] | None = None,
     ) -> None:
         everything = (BandTable(number=1, range_nm=EVERYTHING_NM),)
-        self.gratings: dict[int, tuple[float, float]] = {g.number: g.range_nm for g in table.gratings or everything}
-        self.filters: dict[int, tuple[float, float]] = {f.number: f.range_nm for f in table.filters or everything}
+        self.gratings: dict[int, tuple[float, float]] = {
+            g.number: g.range_nm for g in table.gratings or everything
+        }
+        self.filters: dict[int, tuple[float, float]] = {
+            f.number: f.range_nm for f in table.filters or everything
+        }
         self.output_ports = tuple(output_ports)
         self.clock = clock
         self.before_command = before_command
@@ -94,7 +98,9 @@ class Monochromator:
         """Turn the grating to a wavelength."""
         low, high = self.wavelength_range_nm
         if not low <= wavelength_nm <= high:
-            raise ValueError(f"wavelength = {wavelength_nm:g} nm is outside the drive's range {low:g}...{high:g} nm")
+            raise ValueError(
+                f"wavelength = {wavelength_nm:g} nm is outside the drive's range {low:g}...{high:g} nm"
+            )
         distance = abs(wavelength_nm - self._now.wavelength_nm)
         duration = SLEW_START_S + distance / SLEW_NM_S if distance > 0 else 0.0
         self._change(duration, replace(self._now, wavelength_nm=float(wavelength_nm)), dark=False)

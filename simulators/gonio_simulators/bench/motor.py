@@ -112,9 +112,7 @@ class Motor:
             return
         halt = decelerate(now_s, position, speed, 0.0, self.acceleration_steps_s2)
         whole = float(math.ceil(halt.end) if speed > 0 else math.floor(halt.end))
-        self._run(
-            now_s, pieces_to(now_s, position, speed, whole, abs(speed), self.acceleration_steps_s2)
-        )
+        self._run(now_s, pieces_to(now_s, position, speed, whole, abs(speed), self.acceleration_steps_s2))
 
     def clear_fault(self) -> None:
         """Forget the latched fault; the motor stays where it is."""
@@ -200,7 +198,9 @@ class Motor:
     def _run(self, now_s: float, pieces: list[Piece], *, homing: bool = False) -> None:
         position, _ = self._motion(now_s)
         arm = self._arm_at(now_s)
-        top, up_fault = min(((e, f) for e, f in self._up_edges if e >= arm), default=(math.inf, Fault.NONE), key=_edge)
+        top, up_fault = min(
+            ((e, f) for e, f in self._up_edges if e >= arm), default=(math.inf, Fault.NONE), key=_edge
+        )
         bottom, down_fault = max(
             ((e, f) for e, f in self._down_edges if e <= arm), default=(-math.inf, Fault.NONE), key=_edge
         )
