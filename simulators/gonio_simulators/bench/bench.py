@@ -9,8 +9,8 @@ import math
 from typing import Self
 
 import numpy as np
-
 from gonio.errors import ConfigError
+
 from gonio_simulators.bench.config import (
     HOME_OVERSHOOT_DEG,
     ZONE_MARGIN_DEG,
@@ -39,6 +39,8 @@ EDGE_ON_DEG = 1.0
 """The direct beam passes the sample when it stands edge-on to within this."""
 
 NEGLIGIBLE_LIGHT = 1e-12
+
+STATES_KEPT = 64
 
 
 class Bench:
@@ -77,7 +79,7 @@ class Bench:
         )
         lamp_rng, noise_rng = (np.random.default_rng([simulation.seed, k]) for k in (1, 2))
         self._lamp = Lamp(simulation.noise.lamp_drift_per_hour, lamp_rng)
-        self._last: tuple[tuple[object, ...], float] = ((), 0.0)
+        self._known_light: dict[tuple[object, ...], float] = {}
         self._lockin: Lockin | None = None
         self.lockin = self._lockin = Lockin(
             self.detector_signal,
@@ -93,7 +95,7 @@ class Bench:
         return cls(config, clock)
 
     def detector_signal(self, time_s: float) -> DetectorSignal:
-        """Return what leaves the selected detector at a bench time since the last command, without the amplifier."""
+        """Return what the selected detector gives the amplifier at a bench time since the last command."""
         path = self.monochromator.state_at(time_s)
         detector = self._detectors[path.output_port]
         if not path.shutter_open or path.blocked:
@@ -101,10 +103,19 @@ class Bench:
         theta_i, theta_mes = self.theta_i.angle_at(time_s), self.theta_mes.angle_at(time_s)
         rotator = self.polarizer.angle_at(time_s)
         key = (path, theta_i, theta_mes, rotator)
-        if self._last[0] != key:
+        light = self._known_light.get(key)
+        if light is None:
             flying = any(start <= time_s < end for start, end in self._motions())
-            self._last = key, self._light(detector, path, theta_i, theta_mes, rotator, flying=flying)
-        return detector.signal(self._last[1] * self._lamp.power(time_s))
+            light = self._light(detector, path, theta_i, theta_mes, rotator, flying=flying)
+            if not flying:
+                self._remember(key, light)
+        return detector.signal(light * self._lamp.power(time_s))
+
+    def _remember(self, key: tuple[object, ...], light: float) -> None:
+        """Keep the last few states that stood still, as a reading asks for the same one several times."""
+        if len(self._known_light) >= STATES_KEPT:
+            self._known_light.clear()
+        self._known_light[key] = light
 
     def _light(
         self,
@@ -156,8 +167,8 @@ class Bench:
     def direct_fraction(self, theta_mes_deg: float) -> float:
         """Return the part of the unobstructed beam that enters the aperture.
 
-        The aperture's shadow along the beam is cut with the beam's cross-section, once for each direction of a
-        divergent beam; 1.0 for a parallel beam smaller than the aperture, with the arm facing the source.
+        The aperture's shadow along the beam is cut with the beam's cross-section, once for each direction of
+        a divergent beam; 1.0 for a parallel beam smaller than the aperture, with the arm facing the source.
         """
         aperture, beam = self.config.aperture, self.config.simulation.beam
         off = math.radians(theta_mes_deg - 180.0)
@@ -207,8 +218,8 @@ def axis_hardware(name: str, table: AxisTable, truth: AxisTruth) -> MotorHardwar
     needed = truth.backlash_deg + HOME_OVERSHOOT_DEG
     if margin <= needed:
         raise ConfigError(
-            f"simulation.{name}.limit_margin_deg = {truth.limit_margin_deg:g} deg leaves no room for the home routine, "
-            f"which needs {needed:g} deg beyond the limits; raise it"
+            f"simulation.{name}.limit_margin_deg = {truth.limit_margin_deg:g} deg leaves no room for the home "
+            f"routine, which needs {needed:g} deg beyond the limits; raise it"
         )
     zone = table.blind_zone_deg - ZONE_MARGIN_DEG
     start = truth.power_on_deg
@@ -218,8 +229,8 @@ def axis_hardware(name: str, table: AxisTable, truth: AxisTruth) -> MotorHardwar
             start = high if high > table.blind_zone_deg else low
     if not low - margin <= start <= high + margin or abs(start) < zone:
         raise ConfigError(
-            f"simulation.{name}.power_on_deg = {start:g} deg lies beyond a switch of the axis (limits {low:g}...{high:g} deg, "
-            f"blind zone |{name}| < {table.blind_zone_deg:g} deg); choose an angle it can stand at"
+            f"simulation.{name}.power_on_deg = {start:g} deg lies beyond a switch of the axis (limits "
+            f"{low:g}...{high:g} deg, blind zone |{name}| < {table.blind_zone_deg:g} deg); choose an angle it can stand at"
         )
     return MotorHardware(
         name=name,

@@ -1,8 +1,8 @@
 """What the simulated bench is told: dimensions and scale factors of the rig, and the truth behind the wires.
 
-The bench reads the same `rig.toml` as the program that controls it.  Of the tables of the devices it takes what
-hardware has (scale factors, limits, gratings, detector ranges) and leaves a driver's own keys alone; the table
-``[simulation]`` is the bench's own, and every key in it is checked.
+The bench reads the same `rig.toml` as the program that controls it.  Of the tables of the devices it takes
+what hardware has (scale factors, limits, gratings, detector ranges) and leaves a driver's own keys alone; the
+table ``[simulation]`` is the bench's own, and every key in it is checked.
 """
 
 from __future__ import annotations
@@ -12,11 +12,10 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
-
 from gonio.config import Count, NotNegative, Number, Positive, Strict, parse_toml, read_toml, validate
 from gonio.errors import ConfigError
+from numpy.typing import NDArray
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 Range = tuple[Positive, Positive]
 
@@ -107,7 +106,7 @@ class BandTable(_Hardware):
 
 
 class MonochromatorTable(_Hardware):
-    """``[spectrometer.monochromator]``; without gratings or filters one that suits every wavelength is assumed."""
+    """``[spectrometer.monochromator]``; without gratings or filters, one that suits all wavelengths."""
 
     gratings: tuple[BandTable, ...] = ()
     filters: tuple[BandTable, ...] = ()
@@ -136,13 +135,14 @@ class SpectrometerTable(_Hardware):
     detectors: tuple[DetectorTable, ...] = Field(min_length=1)
 
 
-# -- [simulation] ---------------------------------------------------------------------------------------------------
+# -- [simulation]
+# ---------------------------------------------------------------------------------------------------
 
 
 def _as_spectrum(value: Any) -> Any:
     if isinstance(value, bool) or not isinstance(value, int | float | Mapping | Spectrum):
         raise ValueError(
-            "give a number, or a table { wavelength_nm = [300.0, 1500.0], value = [1.0, 2.0] } that is interpolated"
+            "give a number, or a table { wavelength_nm = [300.0, 1500.0], value = [1.0, 2.0] } to interpolate"
         )
     return {"wavelength_nm": (1.0,), "value": (value,)} if isinstance(value, int | float) else value
 
@@ -157,7 +157,7 @@ class Spectrum(Strict):
     def _is_table(self) -> Self:
         if len(self.wavelength_nm) != len(self.value):
             raise ValueError(
-                f"has {len(self.wavelength_nm)} wavelengths but {len(self.value)} values; give as many of each"
+                f"has {len(self.wavelength_nm)} wavelengths but {len(self.value)} values; give as many"
             )
         if any(b <= a for a, b in zip(self.wavelength_nm, self.wavelength_nm[1:], strict=False)):
             raise ValueError("wavelength_nm must ascend strictly; sort the table and remove doubles")
@@ -280,8 +280,8 @@ class BenchConfig(_Hardware):
         for name in self.simulation.detectors:
             if name not in known:
                 raise ValueError(
-                    f"simulation.detectors.{name} is no detector of [[spectrometer.detectors]] ({', '.join(known)}); "
-                    "correct the name"
+                    f"simulation.detectors.{name} is no detector of [[spectrometer.detectors]] "
+                    f"({', '.join(known)}); correct the name"
                 )
         return self
 
@@ -290,7 +290,8 @@ class BenchConfig(_Hardware):
         """Return the bench of a rig file's raw tables; `ConfigError` lists every mistake."""
         if "simulation" not in tables:
             raise ConfigError(
-                f"{source}: [simulation] is missing, so there is no bench to simulate; add it as in the built-in arta.toml"
+                f"{source}: [simulation] is missing, so there is no bench to simulate; add it as "
+                "in the built-in arta.toml"
             )
         return validate(cls, tables, source=source)
 

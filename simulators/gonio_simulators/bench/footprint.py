@@ -1,8 +1,9 @@
 """Where the beam falls on the sample, and from where it comes: the points and directions that stand for it.
 
-Axes of the sample: x in the plane of incidence towards the mirror side, y out of it, z the normal.  A beam of width W
-lights W/cos(theta_i) along x; what overfills the sample is lost.  Directions of a divergent beam fill a square cone
-evenly; tilts out of the plane come in pairs, of which the positive one is kept with double weight.
+Axes of the sample: x in the plane of incidence towards the mirror side, y out of it, z the normal.  A beam of
+width W lights W/cos(theta_i) along x; what overfills the sample is lost.  Directions of a divergent beam fill
+a square cone evenly; tilts out of the plane come in pairs, of which the positive one is kept with double
+weight.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ MOST_NODES = 24
 
 @dataclass(frozen=True, slots=True)
 class Direction:
-    """One direction of incidence: its weight, its angle, its mirror direction (unit vector in the sample's axes)."""
+    """One direction of incidence, and its mirror direction as a unit vector in the sample's axes."""
 
     weight: float
     cos_theta_i: float
@@ -39,8 +40,8 @@ class Point:
 def _rule(length: float, smallest: float, *, half: bool = False) -> list[tuple[float, float]]:
     """Gauss-Legendre (weight, offset) over ``-length/2...length/2``, weights adding to 1.
 
-    At least 3 nodes, more where something of width `smallest` passes over them; `half` keeps the offsets that are not
-    negative and doubles the weights of the others' partners.
+    At least 3 nodes, more where something of width `smallest` passes over them; `half` keeps the offsets that
+    are not negative and doubles the weights of the others' partners.
     """
     if length == 0:
         return [(1.0, 0.0)]
@@ -55,7 +56,7 @@ def _rule(length: float, smallest: float, *, half: bool = False) -> list[tuple[f
 
 
 def directions(theta_i_rad: float, beam: BeamTable, lobe_width_rad: float) -> list[Direction]:
-    """Return the directions of incidence on the front of the sample; their weights add to 1 (or less near grazing)."""
+    """Return the directions of incidence on the front of the sample; the weights add to 1."""
     divergence = math.radians(beam.divergence_deg)
     result = []
     for w_in, tilt in _rule(divergence, lobe_width_rad):
@@ -64,7 +65,8 @@ def directions(theta_i_rad: float, beam: BeamTable, lobe_width_rad: float) -> li
             sin_d, cos_d = math.sin(out), math.cos(out)
             if cos_i <= 0:
                 continue
-            # The plane of incidence of a tilted ray is turned by chi about the ray; pairs of +-chi mix S and P.
+            # The plane of incidence of a tilted ray is turned by chi about the ray; pairs of +-chi mix S and
+            # P.
             turned = sin_d**2 + (sin_i * cos_d) ** 2
             s_share = sin_i**2 / turned if turned > 0 else 1.0
             mirror = (sin_i * cos_d, -sin_d, cos_i * cos_d)

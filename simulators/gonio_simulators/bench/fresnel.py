@@ -8,9 +8,9 @@ import math
 def reflectances(cos_theta_i: float, n2: float) -> tuple[float, float]:
     """Return the Fresnel power reflectances (R_s, R_p) for light from air.
 
-    Snell's law in the form ``q = n2 cos(theta_t) = sqrt(n2^2 - 1 + cos^2(theta_i))``, in which n2 = 1 gives exactly 0
-    and grazing incidence exactly 1:  ``r_s = (c - q)/(c + q)``,  ``r_p = (n2^2 c - q)/(n2^2 c + q)``
-    (Raybaud et al. 2022, Eq 11-12).
+    Snell's law in the form ``q = n2 cos(theta_t) = sqrt(n2^2 - 1 + cos^2(theta_i))``, in which n2 = 1 gives
+    exactly 0 and grazing incidence exactly 1:  ``r_s = (c - q)/(c + q)``,  ``r_p = (n2^2 c - q)/(n2^2 c +
+    q)`` (Raybaud et al. 2022, Eq 11-12).
 
     Parameters
     ----------

@@ -1,16 +1,17 @@
 """The lock-in amplifier: the detector's signal through a first-order low-pass, with the noise that passes it.
 
-White noise whose 1 s average has standard deviation ``sigma_1`` (equivalent noise bandwidth 1/(2 * 1 s)) leaves a low-pass
-of time constant tau (equivalent noise bandwidth 1/(4 tau)) as an Ornstein-Uhlenbeck process with standard deviation
-``sigma_1 / sqrt(2 tau)``.  Both the mean and the noise are carried on exactly from one reading to the next, so
-readings closer than a time constant are correlated as on the real instrument.
+White noise whose 1 s average has standard deviation ``sigma_1`` (equivalent noise bandwidth 1/(2 * 1 s))
+leaves a low-pass of time constant tau (equivalent noise bandwidth 1/(4 tau)) as an Ornstein-Uhlenbeck process
+with standard deviation ``sigma_1 / sqrt(2 tau)``.  Both the mean and the noise are carried on exactly from
+one reading to the next, so readings closer than a time constant are correlated as on the real instrument.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,17 +29,15 @@ INPUT_LIMIT_V = 1.09
 STEPS_OF_FULL_SCALE = 32768
 
 
-@dataclass(frozen=True, slots=True)
-class DetectorSignal:
-    """What leaves the detector, and the white noise on it as standard deviations of a 1 s average; all in volts."""
+class DetectorSignal(NamedTuple):
+    """What leaves the detector, and the white noise on it as standard deviations of a 1 s average; volts."""
 
     mean_v: float
     in_phase_sd_v: float  # everything that is modulated with the light: flicker, shot noise, floor
     quadrature_sd_v: float
 
 
-@dataclass(frozen=True, slots=True)
-class LockinReading:
+class LockinReading(NamedTuple):
     """One look at the outputs."""
 
     x_v: float
@@ -80,6 +79,7 @@ class Lockin:
         self._time_s = clock.now_s()
         self._signal = signal_at(self._time_s)
         self._mean_v = self._signal.mean_v
+        self._stock: list[float] = []
         self._noise_x_v = 0.0
         self._noise_y_v = 0.0
 
@@ -93,17 +93,12 @@ class Lockin:
         self.advance()
         self._time_constant_s = value
 
-    def sample(self) -> tuple[float, float, bool, bool]:
+    def sample(self) -> LockinReading:
         """Return X and Y in volts, and whether the input and the output are overloaded.
 
-        The outputs are those of the instrument: limited to 1.09 of full scale (then the flag is up) and quantised to
-        full scale / 32768.
+        The outputs are those of the instrument: limited to 1.09 of full scale (then the flag is up) and
+        quantised to full scale / 32768.
         """
-        reading = self.read()
-        return reading.x_v, reading.y_v, reading.input_overload, reading.output_overload
-
-    def read(self) -> LockinReading:
-        """As `sample`, with names."""
         self.advance()
         phase = math.radians(self.phase_deg)
         in_phase, quadrature = self._mean_v + self._noise_x_v, self._noise_y_v
@@ -133,20 +128,18 @@ class Lockin:
             if moving:
                 self._follow(start_s, end_s)
             else:
-                self._settle(end_s - start_s, self._signal_at(0.5 * (start_s + end_s)))
+                self._signal = self._signal_at(0.5 * (start_s + end_s))
+                self._settle(end_s - start_s, self._signal)
             start_s = end_s
         self._time_s = now_s
-        self._signal = self._signal_at(now_s)
 
     def _pieces(self, start_s: float, end_s: float) -> list[tuple[float, bool]]:
-        """Cut an interval at every begin and end of a change; each piece as its end, and whether the signal changes."""
+        """Cut an interval where changes begin and end; each piece as its end, and whether the signal changes."""
         changes = self._moving_between(start_s, end_s)
         if not changes:
             return [(end_s, False)]
         cuts = sorted({min(max(t, start_s), end_s) for change in changes for t in change} | {start_s, end_s})
-        return [
-            (b, any(s <= 0.5 * (a + b) < e for s, e in changes)) for a, b in zip(cuts, cuts[1:], strict=False)
-        ]
+        return [(b, any(s <= 0.5 * (a + b) < e for s, e in changes)) for a, b in itertools.pairwise(cuts)]
 
     def _follow(self, start_s: float, end_s: float) -> None:
         """Follow a changing signal in steps of half a time constant, straight in between."""
@@ -157,7 +150,7 @@ class Lockin:
         for i in range(steps):
             after = self._signal_at(start_s + (i + 1) * length - tiny)
             self._settle(length, before, after)
-            before = after
+            before = self._signal = after
 
     def _settle(self, duration_s: float, before: DetectorSignal, after: DetectorSignal | None = None) -> None:
         """Exact response to a signal that is constant, or goes straight from `before` to `after`."""
@@ -170,6 +163,12 @@ class Lockin:
             self._mean_v += (after.mean_v - before.mean_v) * (1.0 - gain * tau / duration_s)
         # Ornstein-Uhlenbeck: variance sigma_1**2 / (2 tau) in the long run, reached as 1 - decay**2.
         fresh = math.sqrt(gain * (1.0 + decay) / (2.0 * tau))
-        kick_x, kick_y = self._rng.standard_normal(2).tolist()
+        kick_x, kick_y = self._kicks()
         self._noise_x_v = decay * self._noise_x_v + fresh * end.in_phase_sd_v * kick_x
         self._noise_y_v = decay * self._noise_y_v + fresh * end.quadrature_sd_v * kick_y
+
+    def _kicks(self) -> tuple[float, float]:
+        """Two standard normal numbers, from a stock, as the generator is slow for single ones."""
+        if len(self._stock) < 2:
+            self._stock = self._rng.standard_normal(256).tolist()
+        return self._stock.pop(), self._stock.pop()

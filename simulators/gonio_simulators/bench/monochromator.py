@@ -1,13 +1,14 @@
 """The monochromator: which light leaves it, now and while its mechanics move.
 
-Every command takes bench time and starts when the previous one is done.  While the grating turns to another wavelength
-the light sweeps with it; while gratings, filters or the output mirror change, no light passes.
+Every command takes bench time and starts when the previous one is done.  While the grating turns to another
+wavelength the light sweeps with it; while gratings, filters or the output mirror change, no light passes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 from gonio_simulators.bench.config import BandTable, MonochromatorTable
 from gonio_simulators.clock import BenchClock
@@ -20,14 +21,16 @@ OUTPUT_CHANGE_S = 1.0
 SHUTTER_S = 0.02
 SLIT_STEP_S = 0.5
 
+DRIVE_DECIMALS = 2
+"""The drive moves in steps of 0.01 nm; where it stands is as exact as it was asked for."""
+
 NOMINAL_SLIT_UM = 600.0
 """Slit width at which the detectors see `full_beam_v`."""
 
 EVERYTHING_NM = (1.0, 100_000.0)
 
 
-@dataclass(frozen=True, slots=True)
-class LightPath:
+class LightPath(NamedTuple):
     """The state of everything between lamp and sample that the monochromator moves."""
 
     wavelength_nm: float
@@ -92,7 +95,8 @@ class Monochromator:
         self._changes: list[_Change] = []
         self.busy_until_s = 0.0
 
-    # -- commands; each raises ValueError for what the instrument does not have ------------------------------------
+    # -- commands; each raises ValueError for what the instrument does not have
+    # ------------------------------------
 
     def goto(self, wavelength_nm: float) -> None:
         """Turn the grating to a wavelength."""
@@ -103,40 +107,40 @@ class Monochromator:
             )
         distance = abs(wavelength_nm - self._now.wavelength_nm)
         duration = SLEW_START_S + distance / SLEW_NM_S if distance > 0 else 0.0
-        self._change(duration, replace(self._now, wavelength_nm=float(wavelength_nm)), dark=False)
+        self._change(duration, self._now._replace(wavelength_nm=float(wavelength_nm)), dark=False)
 
     def select_grating(self, number: int) -> None:
         """Turn the turret to a grating."""
         if number not in self.gratings:
             raise ValueError(f"grating {number} is not fitted ({sorted(self.gratings)} are)")
         duration = GRATING_CHANGE_S if number != self._now.grating else 0.0
-        self._change(duration, replace(self._now, grating=number), dark=True)
+        self._change(duration, self._now._replace(grating=number), dark=True)
 
     def select_filter(self, number: int) -> None:
         """Turn the filter wheel."""
         if number not in self.filters:
             raise ValueError(f"filter {number} is not fitted ({sorted(self.filters)} are)")
         duration = FILTER_STEP_S * abs(number - self._now.filter)
-        self._change(duration, replace(self._now, filter=number), dark=True)
+        self._change(duration, self._now._replace(filter=number), dark=True)
 
     def set_output_port(self, number: int) -> None:
         """Send the light to another detector's port."""
         if number not in self.output_ports:
             raise ValueError(f"output port {number} is not fitted ({list(self.output_ports)} are)")
         duration = OUTPUT_CHANGE_S if number != self._now.output_port else 0.0
-        self._change(duration, replace(self._now, output_port=number), dark=True)
+        self._change(duration, self._now._replace(output_port=number), dark=True)
 
     def set_shutter(self, is_open: bool) -> None:
         """Open or close the shutter."""
         duration = SHUTTER_S if is_open != self._now.shutter_open else 0.0
-        self._change(duration, replace(self._now, shutter_open=is_open), dark=False)
+        self._change(duration, self._now._replace(shutter_open=is_open), dark=False)
 
     def set_slit(self, width_um: float) -> None:
         """Set the width of the slits."""
         if not width_um > 0:
             raise ValueError(f"slit = {width_um:g} um must be above zero")
         duration = SLIT_STEP_S if width_um != self._now.slit_um else 0.0
-        self._change(duration, replace(self._now, slit_um=float(width_um)), dark=False)
+        self._change(duration, self._now._replace(slit_um=float(width_um)), dark=False)
 
     def abort(self) -> None:
         """Stop the grating where it is; changes that wait for it do not happen."""
@@ -145,10 +149,11 @@ class Monochromator:
         now_s = self.clock.now_s()
         here = self.state_at(now_s)
         self._changes = [c for c in self._changes if c.end_s <= now_s]
-        self._now = replace(here, blocked=False)
+        self._now = here._replace(blocked=False)
         self.busy_until_s = now_s
 
-    # -- questions -------------------------------------------------------------------------------------------------
+    # -- questions
+    # -------------------------------------------------------------------------------------------------
 
     def is_busy(self) -> bool:
         """Say whether something still moves."""
@@ -197,10 +202,10 @@ class Monochromator:
                 return change.before
             if time_s < change.end_s:
                 if change.dark:
-                    return replace(change.before, blocked=True)
+                    return change.before._replace(blocked=True)
                 part = (time_s - change.start_s) / (change.end_s - change.start_s)
                 a, b = change.before.wavelength_nm, change.after.wavelength_nm
-                return replace(change.before, wavelength_nm=a + (b - a) * part)
+                return change.before._replace(wavelength_nm=round(a + (b - a) * part, DRIVE_DECIMALS))
         return self._now
 
     def changes_between(self, start_s: float, end_s: float) -> list[tuple[float, float]]:

@@ -1,4 +1,4 @@
-"""Where a motor is at any time of a move: constant-acceleration pieces, and the switches that cut them short."""
+"""Where a motor is at any time of a move: pieces of constant acceleration, cut short by switches."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Constant acceleration without reversal; positions in steps of the motor shaft, times in bench seconds."""
+    """Constant acceleration without reversal; positions in steps of the shaft, times in bench seconds."""
 
     start_s: float
     duration_s: float
@@ -42,8 +42,8 @@ def pieces_to(
 ) -> list[Piece]:
     """Return the time-optimal way to stand at `target`, from any position and speed.
 
-    From rest it is the trapezoid (or triangle) of duration ``d/v + a/v`` (``2 sqrt(d/a)``).  A motor that runs the
-    other way, or too fast to stop at the target, first stops and then comes back.
+    From rest it is the trapezoid (or triangle) of duration ``d/v + a/v`` (``2 sqrt(d/a)``).  A motor that
+    runs the other way, or too fast to stop at the target, first stops and then comes back.
     """
     pieces: list[Piece] = []
 
@@ -80,7 +80,7 @@ def pieces_to(
 
 
 def cut_at(pieces: list[Piece], low: float, high: float) -> tuple[list[Piece], float | None]:
-    """Return the pieces up to where they first leave ``low...high``, and that border (None if they never do)."""
+    """Return the pieces up to where they first leave ``low...high``, and that border (None: never)."""
     kept: list[Piece] = []
     for piece in pieces:
         border = high if piece.end > high else low if piece.end < low else None

@@ -1,9 +1,9 @@
 """One motorised rotation axis: what its controller counts, and where its arm truly is.
 
-The motor shaft stands at `q` steps, the arm behind the gear's lost motion at `p` steps, with ``q <= p <= q + b``: going up,
-the shaft pushes the arm (``p = q``); going down, it first takes up the lost motion `b` (``p = q + b``).  The home routine
-ends going up, so the counter is true for targets approached by rising counts, and `backlash_deg` off otherwise.
-The switches sit at the arm.  Angles are ``zero_deg + p / steps_per_deg``.
+The motor shaft stands at `q` steps, the arm behind the gear's lost motion at `p` steps, with ``q <= p <= q +
+b``: going up, the shaft pushes the arm (``p = q``); going down, it first takes up the lost motion `b` (``p =
+q + b``).  The home routine ends going up, so the counter is true for targets approached by rising counts, and
+`backlash_deg` off otherwise. The switches sit at the arm.  Angles are ``zero_deg + p / steps_per_deg``.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ HOMING_SPEED = 0.5
 
 
 class Fault(enum.Enum):
-    """Why the motor stopped by itself; the sides are those of the counter, as the controller knows no angles."""
+    """Why the motor stopped by itself; sides are those of the counter, as the controller knows no angles."""
 
     NONE = "none"
     LOW_LIMIT = "limit switch towards falling counts"
@@ -77,11 +77,13 @@ class Motor:
         self._pieces: list[Piece] = []
         self._arms: list[float] = []  # arm at the start of each piece
         self._end_s = -math.inf
+        self._end_angle_deg = self._angle(self._arm)
         self._pending_fault = Fault.NONE
         self._homing = False
         self._up_edges, self._down_edges = self._edges()
 
-    # -- commands --------------------------------------------------------------------------------------------------
+    # -- commands
+    # --------------------------------------------------------------------------------------------------
 
     def move_absolute(self, target_steps: int) -> None:
         """Go to a count, from wherever the motor is and however fast it runs."""
@@ -119,7 +121,8 @@ class Motor:
         self._settle(self.clock.now_s())
         self._fault = Fault.NONE
 
-    # -- questions -------------------------------------------------------------------------------------------------
+    # -- questions
+    # -------------------------------------------------------------------------------------------------
 
     def position_steps(self) -> int:
         """Return the controller's count; before homing it is off by an unknown constant."""
@@ -137,6 +140,8 @@ class Motor:
 
     def angle_at(self, time_s: float) -> float:
         """Return where the arm is at a bench time since the last command, degrees."""
+        if time_s >= self._end_s:
+            return self._end_angle_deg
         return self._angle(self._arm_at(time_s))
 
     def is_moving(self) -> bool:
@@ -157,10 +162,11 @@ class Motor:
 
     @property
     def motion_s(self) -> tuple[float, float]:
-        """Bench times of the start and end of the last commanded motion; empty when the end is not after the start."""
+        """Bench times of start and end of the last motion; an interval of no length if there was none."""
         return (self._pieces[0].start_s if self._pieces else math.inf), self._end_s
 
-    # -- inside ----------------------------------------------------------------------------------------------------
+    # -- inside
+    # ----------------------------------------------------------------------------------------------------
 
     def _steps(self, angle_deg: float) -> float:
         return (angle_deg - self.hardware.zero_deg) * self.hardware.steps_per_deg
@@ -210,6 +216,7 @@ class Motor:
         for piece in kept:
             self._arms.append(arm)
             arm = self._drag(arm, piece.end)
+        self._end_angle_deg = self._angle(arm)
         self._homing = homing
         self._end_s = kept[-1].start_s + kept[-1].duration_s if kept else now_s
         self._pending_fault = Fault.NONE if border is None else up_fault if border == top else down_fault

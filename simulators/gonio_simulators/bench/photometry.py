@@ -4,11 +4,13 @@ The curves are smooth stand-ins with the right trends, not those of a certain de
 
 - lamp: a tungsten-halogen lamp with a deuterium lamp's help, a bell over log(wavelength) about 900 nm;
 - detectors: a bell over log(wavelength) by type, with the long-wave edge of the semiconductors;
-- a detector's `full_beam_v` is what the 100 % beam gives at the best wavelength of its range, with grating and filter as
+- a detector's `full_beam_v` is what the 100 % beam gives at the best wavelength of its range, with grating
+  and filter as
   they are meant to be, S or P whichever the lamp favours, and the slits at their nominal width;
 - a grating beyond its range loses light as a bell of 15 % of the border's wavelength;
 - filters are long-pass: they cut on 5 % below the start of their range, over a hundredth of the cut-on;
-- with the grating set to a wavelength, a tenth as much light of half that wavelength comes along in second order unless
+- with the grating set to a wavelength, a tenth as much light of half that wavelength comes along in second
+  order unless
   the filter stops it.
 """
 
@@ -88,20 +90,19 @@ class Detector:
         Flicker is a fraction of the light, shot noise goes with its square root, the floor is always there.
         """
         full, noise = self.truth.full_beam_v, self._noise
-        flicker = noise.flicker * light
-        shot = noise.shot_at_full * math.sqrt(abs(light))
-        rest = math.hypot(shot, noise.floor)
+        floor = full * noise.floor
+        flicker = full * noise.flicker * light
+        shot = full * noise.shot_at_full * math.sqrt(abs(light))
         return DetectorSignal(
-            mean_v=self.truth.dark_v + full * light,
-            in_phase_sd_v=full * math.hypot(flicker, rest),
-            quadrature_sd_v=full * rest,
+            self.truth.dark_v + full * light, math.hypot(flicker, shot, floor), math.hypot(shot, floor)
         )
 
 
 class Lamp:
     """The lamp's slow and smooth drift: three sines whose slope has the stated root mean square.
 
-    ``1 + sum_k a_k (sin(2 pi t/T_k + phi_k) - sin(phi_k))`` with seeded phases, 1 when the bench's clock starts.
+    ``1 + sum_k a_k (sin(2 pi t/T_k + phi_k) - sin(phi_k))`` with seeded phases, 1 when the bench's clock
+    starts.
     """
 
     def __init__(self, drift_per_hour: float, rng: np.random.Generator) -> None:
@@ -111,10 +112,14 @@ class Lamp:
             (each * period / (2.0 * math.pi), 2.0 * math.pi / (3600.0 * period), phase)
             for period, phase in zip(DRIFT_PERIODS_H, phases, strict=True)
         ]
+        self._start = 1.0 - sum(a * math.sin(p) for a, _, p in self._terms)
 
     def power(self, time_s: float) -> float:
         """Return the lamp's power relative to that at bench time 0."""
-        return 1.0 + sum(a * (math.sin(w * time_s + p) - math.sin(p)) for a, w, p in self._terms)
+        power = self._start
+        for amplitude, rate, phase in self._terms:
+            power += amplitude * math.sin(rate * time_s + phase)
+        return power
 
 
 def throughput(

@@ -5,18 +5,21 @@ Seen from a sample point, the aperture is a rectangle in a plane at distance `D`
       v (out of plane)                     p = D (u s + v t + a),   dOmega = ds dt / (1 + s^2 + t^2)^(3/2)
       ^    +---------+                     s = tan(gamma), t = tan(kappa): a node is a pair of angles
       |    |    a    | aperture
-      o---------> u  +                     a: along the arm, u: in the plane of incidence, towards larger theta_o
+      o---------> u  +                     a: along the arm, u: in the plane of incidence, towards larger
+      theta_o
      sample point
 
-The integrand is the differential scattering function with the full angle to the mirror direction in three dimensions;
-what lies behind the sample's plane gets nothing.  The closed form that the fit uses appears nowhere here.
+The integrand is the differential scattering function with the full angle to the mirror direction in three
+dimensions; what lies behind the sample's plane gets nothing.  The closed form that the fit uses appears
+nowhere here.
 
-Nodes follow the lobe: the domain is first cut to where the lobe exceeds exp(-45) of its largest value in the aperture,
-then divided into Gauss-Legendre panels of at most six lobe widths ``1/sqrt(alpha + 1)``.
+Nodes follow the lobe: the domain is first cut to where the lobe exceeds exp(-45) of its largest value in the
+aperture, then divided into Gauss-Legendre panels of at most six lobe widths ``1/sqrt(alpha + 1)``.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from functools import lru_cache
@@ -31,7 +34,7 @@ PANEL_RAD = 0.5
 PANEL_LOBE_WIDTHS = 6.0
 NEGLIGIBLE = 45.0  # exp(-45) = 3e-20
 EDGE_POWER = 6
-"""Nodes near the rim of the lobe's half space follow ``x = y**EDGE_POWER``, as cos_+^alpha is not smooth there."""
+"""Nodes near the rim of the lobe's half space follow ``x = y**EDGE_POWER``: cos_+^alpha is not smooth there."""
 
 SMOOTH_RIM_ALPHA = 30.0
 """From this exponent on the rim carries nothing."""
@@ -63,10 +66,11 @@ def view(
     point_mm: tuple[float, float],
     mirror: tuple[float, float, float],
 ) -> View | None:
-    """Return the aperture as seen from a point (x, y) of the sample, cut at the horizon; None if nothing is left.
+    """Return the aperture as seen from a point (x, y) of the sample, cut at the horizon; None if nothing is
+    left.
 
-    Axes of the sample: x in the plane of incidence towards the mirror side, y out of it, z the normal; `mirror` is a
-    unit vector in these axes and `theta_o_rad` the signed angle of the arm from z.
+    Axes of the sample: x in the plane of incidence towards the mirror side, y out of it, z the normal;
+    `mirror` is a unit vector in these axes and `theta_o_rad` the signed angle of the arm from z.
     """
     x, y = point_mm
     sin_o, cos_o = math.sin(theta_o_rad), math.cos(theta_o_rad)
@@ -94,7 +98,7 @@ def view(
 
 
 def diffuse_power(seen: View) -> float:
-    """Return the integral of cos(theta)/pi over the aperture: what a perfect diffuser (rho_d = 1) sends into it."""
+    """Return the integral of cos(theta)/pi over the aperture: what rho_d = 1 sends into it."""
     gamma, w_gamma = _panels(math.atan(seen.s[0]), math.atan(seen.s[1]), PANEL_RAD)
     kappa, w_kappa = _panels(math.atan(seen.t[0]), math.atan(seen.t[1]), PANEL_RAD)
     s, t = np.tan(gamma), np.tan(kappa)[:, np.newaxis]
@@ -119,7 +123,7 @@ def lobe_power(seen: View, alpha: float) -> float:
 
 
 def lobe_powers(seen: View, alphas: FloatArray) -> FloatArray:
-    """Return `lobe_power` for several exponents, shape (n_alpha,), with common nodes for exponents of like size."""
+    """Return `lobe_power` for each exponent, shape (n_alpha,); exponents of like size share their nodes."""
     result = np.zeros(len(alphas))
     peak = _largest_cosine(seen)
     if peak <= 0:
@@ -135,7 +139,7 @@ def lobe_powers(seen: View, alphas: FloatArray) -> FloatArray:
 
 
 def _group_powers(seen: View, alphas: FloatArray, peak: float) -> FloatArray:
-    """Ascending exponents on the domain that the broadest lobe needs and the panels that the narrowest needs."""
+    """Ascending exponents on the domain of the broadest lobe and the panels of the narrowest."""
     broad, narrow = float(alphas[0]), float(alphas[-1])
     log_low = math.log(peak) - NEGLIGIBLE / broad if broad > 0 else -math.inf
     sin_reach = math.sqrt(-math.expm1(2.0 * log_low)) if math.isfinite(log_low) else 1.0
@@ -171,7 +175,8 @@ def _cosine(seen: View, s: float, t: float) -> float:
 def _largest_cosine(seen: View) -> float:
     """Largest cosine to the mirror direction over the rectangle.
 
-    The angle to a direction has no local minimum but the direction itself, so it is either inside or on the border.
+    The angle to a direction has no local minimum but the direction itself, so it is either inside or on the
+    border.
     """
     m_u, m_v, m_a = seen.mirror
     (s0, s1), (t0, t1) = seen.s, seen.t
@@ -190,7 +195,7 @@ def _largest_cosine(seen: View) -> float:
 
 
 def _cut(limits: tuple[float, float], m_side: float, m_a: float, sin_reach: float) -> tuple[float, float]:
-    """Angles between which a cone of given half angle about the mirror direction meets a side of the rectangle."""
+    """Angles that a cone of given half angle about the mirror direction leaves of a side of the rectangle."""
     low, high = math.atan(limits[0]), math.atan(limits[1])
     length = math.hypot(m_side, m_a)
     if sin_reach >= length:
@@ -214,7 +219,7 @@ def _rim_crossings(seen: View) -> list[float]:
 
 
 def _up_to_rim(seen: View, t: FloatArray, low: float, high: float) -> tuple[FloatArray, FloatArray]:
-    """Nodes (n_t, n_gamma) and weights for a lobe whose rim cuts the rectangle: one row of nodes for each t."""
+    """Nodes (n_t, n_gamma) and weights where the lobe's rim cuts the rectangle: one row for each t."""
     m_u, m_v, m_a = seen.mirror
     rim = np.arctan(-(m_a + t * m_v) / m_u)[:, np.newaxis]
     if m_u > 0:
@@ -233,7 +238,7 @@ def _panels(
     """Gauss-Legendre nodes and weights on panels of at most `length`, cut also at `cuts`."""
     if cuts:
         edges = [low, *sorted(c for c in cuts if low < c < high), high]
-        parts = [_panels(a, b, length) for a, b in zip(edges, edges[1:], strict=False)]
+        parts = [_panels(a, b, length) for a, b in itertools.pairwise(edges)]
         return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
     x, w = _gauss(NODES)
     n = max(1, math.ceil((high - low) / length))

@@ -1,8 +1,10 @@
-"""How much of the beam the sample sends into the aperture: the ratio r for each position, polarization and wavelength.
+"""How much of the beam the sample sends into the aperture: the ratio r for each position, polarization and
+wavelength.
 
-``r = rho_d D + rho_s sum_j w_j R(theta_j) L_j(alpha)``: D is the cosine integrated over the aperture, L_j the lobe about the
-mirror direction of incidence direction j, both averaged over the footprint (`gonio_simulators.bench.quadrature`).  Only
-alpha makes the integrals change with wavelength, so each new position is tabulated once over the truth's own alpha.
+``r = rho_d D + rho_s sum_j w_j R(theta_j) L_j(alpha)``: D is the cosine integrated over the aperture, L_j the
+lobe about the mirror direction of incidence direction j, both averaged over the footprint
+(`gonio_simulators.bench.quadrature`).  Only alpha makes the integrals change with wavelength, so each new
+position is tabulated once over the truth's own alpha.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from gonio_simulators.bench.truth import Truth
 FloatArray = NDArray[np.float64]
 
 TABLE_ERROR = 1e-9
-"""Relative to the largest lobe integral of a table; the last three Chebyshev coefficients must be below a tenth of it."""
+"""Relative to a table's largest integral; its last three Chebyshev coefficients must be below a tenth of it."""
 
 MOST_COEFFICIENTS = 256
 POSITIONS_KEPT = 2048

@@ -47,19 +47,22 @@ def default_wavelengths(config: BenchConfig) -> FloatArray:
     detectors = config.spectrometer.detectors
     low = min(d.range_nm[0] for d in detectors)
     high = max(d.range_nm[1] for d in detectors)
-    return np.arange(math.ceil(low / 10.0), math.floor(high / 10.0) + 1) * 10.0
+    return 10.0 * np.arange(math.ceil(low / 10.0), math.floor(high / 10.0) + 1, dtype=np.float64)
 
 
 def lobe_above_horizon(theta_i_deg: float, alpha: float) -> float:
-    """Return the part of the lobe (alpha + 1)/(2 pi) cos_+^alpha about the mirror direction that lies above the sample.
+    """Return the part of the lobe (alpha + 1)/(2 pi) cos_+^alpha about the mirror direction that lies above
+    the sample.
 
-    By quadrature over the angle from the mirror direction: whole rings up to 90 deg - theta_i, beyond it the part
-    ``acos(-cot(theta) cot(theta_i))/pi`` of each ring.
+    By quadrature over the angle from the mirror direction: whole rings up to 90 deg - theta_i, beyond it the
+    part ``acos(-cot(theta) cot(theta_i))/pi`` of each ring.
     """
     theta_i = math.radians(abs(theta_i_deg))
-    whole = 1.0 - math.sin(theta_i) ** (alpha + 1.0)
+    whole = float(1.0 - math.sin(theta_i) ** (alpha + 1.0))
     if theta_i == 0:
         return 1.0
+    y: FloatArray
+    w: FloatArray
     y, w = np.polynomial.legendre.leggauss(HEMISPHERE_NODES)
     y, w = 0.5 * (1.0 + y), 0.5 * w
     # nodes crowd at both ends: a square root at the first whole ring, cos^alpha at the last
@@ -91,7 +94,8 @@ def hemispherical(
 
 
 def truth_table(config: BenchConfig, wavelength_nm: FloatArray | None = None) -> dict[str, FloatArray]:
-    """Return the columns of `COLUMNS`, each (n_wavelength,); k_d, k_s, k_g at 8 deg incidence, mean of S and P.
+    """Return the columns of `COLUMNS`, each (n_wavelength,); k_d, k_s, k_g at 8 deg incidence, mean of S and
+    P.
 
     Parameters
     ----------
@@ -111,11 +115,12 @@ def truth_table(config: BenchConfig, wavelength_nm: FloatArray | None = None) ->
 
 
 def sphere_spectrum(config: BenchConfig, wavelength_nm: FloatArray | None = None) -> FloatArray:
-    """Return what the simulated integrating sphere reads, (n_wavelength,): the true k_g at its angle, with its error.
+    """Return what the simulated integrating sphere reads, (n_wavelength,): the true k_g at its angle, with
+    its error.
 
-    Its stated relative uncertainty U has coverage factor 2.  Half of the variance is a scale error common to all
-    wavelengths, half is independent from wavelength to wavelength: each with standard deviation ``U / 2 / sqrt(2)``.
-    The error at a wavelength depends on the seed and that wavelength alone, not on the grid.
+    Its stated relative uncertainty U has coverage factor 2.  Half of the variance is a scale error common to
+    all wavelengths, half is independent from wavelength to wavelength: each with standard deviation ``U / 2 /
+    sqrt(2)``. The error at a wavelength depends on the seed and that wavelength alone, not on the grid.
     """
     grid = (
         default_wavelengths(config) if wavelength_nm is None else np.asarray(wavelength_nm, dtype=np.float64)
