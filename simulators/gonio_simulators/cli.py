@@ -1,0 +1,160 @@
+"""`gonio simulate`: start the simulated bench, print its addresses, and serve until told to stop.
+
+Prints one line ``ROLE PROTOCOL ADDRESS`` per port, then ``ready``.  Exit codes: 0 when told to stop, 1 with a message,
+2 for bad usage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import gc
+import os
+import signal
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+from gonio.config import parse_toml, read_toml
+from gonio.errors import ConfigError, GonioError
+from gonio.rig import default_rig_text
+from gonio_simulators.bench.bench import Bench
+from gonio_simulators.bench.config import BenchConfig
+from gonio_simulators.wire.lines import PtyPort, new_event_loop
+from gonio_simulators.wire.serve import Served, plan_ports, serve
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run `gonio simulate` and return its exit code."""
+    options = _parser().parse_args(argv)
+    try:
+        tables, source = _tables(options)
+        config = BenchConfig.from_tables(tables, source=source)
+        _write_spectra(config, options)
+        if options.pty and not PtyPort.is_available():
+            raise ConfigError("--pty: this system has no pseudo-terminals; use the TCP addresses")
+        bench = Bench.from_config(config)
+        ports = plan_ports(bench, tables, with_pty=options.pty, source=source)
+        with asyncio.Runner(loop_factory=new_event_loop) as runner:
+            runner.run(_serve(ports, options))
+    except GonioError as error:
+        print(error, file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 0
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="gonio simulate", description="Serve the simulated bench of a rig file on loopback ports."
+    )
+    parser.add_argument(
+        "rig", nargs="?", type=Path, metavar="RIG.toml", help="default: the built-in simulated ARTA"
+    )
+    parser.add_argument("--seconds", type=_positive, metavar="N", help="stop after N real seconds")
+    parser.add_argument(
+        "--pty", action="store_true", help="serve each line on a pseudo-terminal, too (POSIX)"
+    )
+    parser.add_argument("--clock-speed", type=_positive, metavar="X", help="bench seconds per real second")
+    parser.add_argument(
+        "--seed", type=_whole, metavar="N", help="seed of noise, drift and the sphere's error"
+    )
+    parser.add_argument("--truth", type=Path, metavar="FILE.csv", help="write what is true on the bench")
+    parser.add_argument(
+        "--sphere", type=Path, metavar="FILE.csv", help="write the integrating sphere's spectrum"
+    )
+    parser.add_argument("--until-stdin-closes", action="store_true", help="stop at the end of standard input")
+    return parser
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} must be a number above zero")
+    return value
+
+
+def _whole(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text} must be a whole number, zero or above")
+    return value
+
+
+def _tables(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    """The rig file's raw tables with the options applied, and what to call the file in messages."""
+    if options.rig is None:
+        source = "arta.toml (built in)"
+        tables = parse_toml(default_rig_text(), source=source)
+    else:
+        source = str(options.rig)
+        tables = read_toml(options.rig)
+    simulation = tables.get("simulation")
+    if isinstance(simulation, dict):
+        if options.clock_speed is not None:
+            simulation["clock_speed"] = options.clock_speed
+        if options.seed is not None:
+            simulation["seed"] = options.seed
+    return tables, source
+
+
+def _write_spectra(config: BenchConfig, options: argparse.Namespace) -> None:
+    if options.truth is None and options.sphere is None:
+        return
+    from gonio_simulators.bench.truth import write_sphere, write_truth
+
+    try:
+        if options.truth is not None:
+            write_truth(options.truth, config)
+        if options.sphere is not None:
+            write_sphere(options.sphere, config)
+    except OSError as error:
+        raise ConfigError(
+            f"{error.filename}: cannot be written ({error.strerror}); choose another file"
+        ) from None
+
+
+async def _serve(ports: list[Served], options: argparse.Namespace) -> None:
+    loop = asyncio.get_running_loop()
+    stop = asyncio.Event()
+    _stop_on_signals(loop, stop)
+    if options.until_stdin_closes:
+        threading.Thread(target=_wait_for_end_of_input, args=(loop, stop), daemon=True).start()
+    if options.seconds is not None:
+        loop.call_later(options.seconds, stop.set)
+    await serve(ports, stop, announce=_announce)
+
+
+def _announce(ports: list[Served]) -> None:
+    for served in ports:
+        print(served)
+    print("ready", flush=True)
+    gc.collect()
+    gc.freeze()  # what lives now lives to the end; later collections need not look at it
+
+
+def _stop_on_signals(loop: asyncio.AbstractEventLoop, stop: asyncio.Event) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        try:
+            loop.add_signal_handler(number, stop.set)
+        except NotImplementedError:  # Windows
+            signal.signal(number, lambda *_: loop.call_soon_threadsafe(stop.set))
+
+
+def _wait_for_end_of_input(loop: asyncio.AbstractEventLoop, stop: asyncio.Event) -> None:
+    """Read standard input to its end.
+
+    A thread, because files, pipes and consoles cannot all be watched by one loop; `os.read`, because a buffered
+    reader that still waits at exit would hold a lock that the interpreter needs.
+    """
+    try:
+        while os.read(0, 4096):
+            pass
+    except OSError:
+        pass  # no standard input at all is an end, too
+    try:
+        loop.call_soon_threadsafe(stop.set)
+    except RuntimeError:
+        pass  # the loop has ended before

@@ -1,0 +1,265 @@
+"""How an instrument's bytes reach a client: TCP ports and pseudo-terminals on one asyncio loop.
+
+An `Instrument` is the state that outlives clients; a `Conversation` is what one client has begun to say and is still
+owed.  Every accepted TCP connection starts a new conversation, so that nobody inherits half a command.  Between the
+two sits an optional `Filter`, which may hold back, damage, split or repeat bytes in either direction.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import os
+import selectors
+import socket
+import sys
+from collections.abc import Callable
+from typing import Protocol
+
+from gonio.errors import ConfigError
+
+HOST = "127.0.0.1"
+
+
+class Conversation(Protocol):
+    """One client's talk with an instrument."""
+
+    wait_s: float | None
+    """Real seconds after which `poll` wants to be called; None when nothing is pending."""
+
+    def feed(self, data: bytes) -> bytes:
+        """Take received bytes and return what to send at once."""
+        ...
+
+    def poll(self) -> bytes:
+        """Return what has become due since the last call."""
+        ...
+
+
+class Instrument(Protocol):
+    """Something that talks."""
+
+    def open(self) -> Conversation:
+        """Begin a conversation with a new client."""
+        ...
+
+
+class Filter(Protocol):
+    """What may happen to bytes on their way; each method decides when, and with which bytes, to call on."""
+
+    def received(self, data: bytes, deliver: Callable[[bytes], None]) -> None:
+        """Pass bytes from the client on to the instrument."""
+        ...
+
+    def sending(self, data: bytes, transmit: Callable[[bytes], None]) -> None:
+        """Pass bytes from the instrument on to the client."""
+        ...
+
+
+def new_event_loop() -> asyncio.AbstractEventLoop:
+    """Return a loop whose timers are finer than a millisecond.
+
+    A bench second may last a microsecond-scale real time.  `epoll` and `poll` count timeouts in whole milliseconds,
+    which would add half a minute to a scan; `select` takes microseconds and also works on Windows and on macOS ptys.
+    """
+    return asyncio.SelectorEventLoop(selectors.SelectSelector())
+
+
+class _Pump:
+    """Moves bytes between a transport and a conversation and keeps the conversation's appointment."""
+
+    def __init__(
+        self, conversation: Conversation, transmit: Callable[[bytes], None], filter_: Filter | None
+    ) -> None:
+        self._conversation = conversation
+        self._transmit = transmit
+        self._filter = filter_
+        self._timer: asyncio.TimerHandle | None = None
+        self._loop = asyncio.get_running_loop()
+
+    def received(self, data: bytes) -> None:
+        if self._filter is None:
+            self._deliver(data)
+        else:
+            self._filter.received(data, self._deliver)
+
+    def close(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _deliver(self, data: bytes) -> None:
+        reply = self._conversation.feed(data)
+        if reply:
+            self._send(reply)
+        if self._conversation.wait_s is not None or self._timer is not None:
+            self._appoint()
+
+    def _send(self, data: bytes) -> None:
+        if self._filter is None:
+            self._transmit(data)
+        else:
+            self._filter.sending(data, self._transmit)
+
+    def _appoint(self) -> None:
+        self.close()
+        wait_s = self._conversation.wait_s
+        if wait_s is not None:
+            self._timer = self._loop.call_later(wait_s, self._due)
+
+    def _due(self) -> None:
+        self._timer = None
+        reply = self._conversation.poll()
+        if reply:
+            self._send(reply)
+        self._appoint()
+
+
+class _TcpClient(asyncio.Protocol):
+    """One accepted connection; a newer one on the same port takes the line over."""
+
+    def __init__(self, port: TcpPort) -> None:
+        self._port = port
+        self._transport: asyncio.Transport | None = None
+        self._pump: _Pump | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        sock = transport.get_extra_info("socket")
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._transport = transport
+        self._pump = _Pump(self._port.instrument.open(), transport.write, self._port.filter)
+        self.data_received = self._pump.received  # type: ignore[method-assign]  # one call less per command
+        self._port.taken_over_by(self)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._pump is not None:
+            self._pump.close()
+        self._port.left_by(self)
+
+    def hang_up(self) -> None:
+        if self._transport is not None:
+            self._transport.abort()
+
+
+class TcpPort:
+    """A listening port of one instrument on the loopback interface.
+
+    A terminal server lets one client talk at a time.  A second connection replaces the first: the first is usually a
+    client that died without saying so.
+    """
+
+    def __init__(self, instrument: Instrument, *, port: int = 0, filter_: Filter | None = None) -> None:
+        self.instrument = instrument
+        self.filter = filter_
+        self._wanted_port = port
+        self._server: asyncio.Server | None = None
+        self._client: _TcpClient | None = None
+
+    @property
+    def address(self) -> str:
+        """The address in the form that drivers take, once started."""
+        assert self._server is not None
+        return f"socket://{HOST}:{self._server.sockets[0].getsockname()[1]}"
+
+    async def start(self) -> None:
+        """Listen; `ConfigError` if the port is taken or not allowed."""
+        loop = asyncio.get_running_loop()
+        try:
+            self._server = await loop.create_server(lambda: _TcpClient(self), HOST, self._wanted_port)
+        except OSError as error:
+            reason = "it is already taken" if error.errno == errno.EADDRINUSE else str(error)
+            raise ConfigError(
+                f"port {self._wanted_port} on {HOST} cannot be served: {reason}; end the program that uses it, or write "
+                'address = "simulated" for any free port'
+            ) from None
+
+    def close(self) -> None:
+        """Stop listening and hang up."""
+        if self._server is not None:
+            self._server.close()
+        if self._client is not None:
+            self._client.hang_up()
+
+    def taken_over_by(self, client: _TcpClient) -> None:
+        """Hang up on the former client."""
+        former, self._client = self._client, client
+        if former is not None:
+            former.hang_up()
+
+    def left_by(self, client: _TcpClient) -> None:
+        """Forget a client that has gone."""
+        if self._client is client:
+            self._client = None
+
+
+class PtyPort:
+    """A pseudo-terminal of one instrument, in raw mode, for clients that want a serial port (POSIX only).
+
+    As on a serial cable, the instrument cannot see clients come and go: they share one conversation.
+    """
+
+    def __init__(self, instrument: Instrument, *, filter_: Filter | None = None) -> None:
+        self.instrument = instrument
+        self.filter = filter_
+        self._master = -1
+        self._slave = -1
+        self._pump: _Pump | None = None
+        self._unsent = b""
+
+    @staticmethod
+    def is_available() -> bool:
+        """Say whether this system has pseudo-terminals."""
+        return sys.platform != "win32"
+
+    @property
+    def address(self) -> str:
+        """The path of the terminal, once started."""
+        return os.ttyname(self._slave)
+
+    async def start(self) -> None:
+        """Open the terminal; `ConfigError` where there is none."""
+        if sys.platform == "win32":
+            raise ConfigError("--pty: this system has no pseudo-terminals; use the TCP addresses")
+        import pty
+        import tty
+
+        self._master, self._slave = pty.openpty()
+        tty.setraw(self._slave)  # no echo and no newline translation: the bytes are the instrument's
+        os.set_blocking(self._master, False)
+        self._pump = _Pump(self.instrument.open(), self._write, self.filter)
+        asyncio.get_running_loop().add_reader(self._master, self._readable)
+
+    def close(self) -> None:
+        """Close both ends."""
+        if self._master < 0:
+            return
+        loop = asyncio.get_running_loop()
+        loop.remove_reader(self._master)
+        loop.remove_writer(self._master)
+        if self._pump is not None:
+            self._pump.close()
+        os.close(self._master)
+        os.close(self._slave)
+        self._master = self._slave = -1
+
+    def _readable(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            data = os.read(self._master, 65536)
+            if data and self._pump is not None:
+                self._pump.received(data)
+
+    def _write(self, data: bytes) -> None:
+        if not self._unsent:
+            with contextlib.suppress(BlockingIOError):
+                data = data[os.write(self._master, data) :]
+        if data:  # the client does not read: what the kernel does not hold waits here
+            self._unsent += data
+            asyncio.get_running_loop().add_writer(self._master, self._writable)
+
+    def _writable(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            self._unsent = self._unsent[os.write(self._master, self._unsent) :]
+        if not self._unsent:
+            asyncio.get_running_loop().remove_writer(self._master)

@@ -1,0 +1,115 @@
+"""How a Modbus request is found in a stream and a reply is framed: RTU with CRC16, and TCP with its MBAP header.
+
+Written from the Modbus application protocol and serial line specifications, without the library that the drivers use.
+"""
+
+from __future__ import annotations
+
+import struct
+import time
+
+SILENCE_S = 0.02
+"""Real seconds without a byte after which the beginning of an RTU frame is forgotten.
+
+The serial rule is 3.5 characters (4 ms at 9600 baud); on TCP the pauses inside a frame are the network's, so this is
+wider."""
+
+_MAX_RTU_BYTES = 256
+_MAX_MBAP_LENGTH = 254  # unit id and protocol data unit
+
+
+def _make_crc_table() -> tuple[int, ...]:
+    table = []
+    for byte in range(256):
+        crc = byte
+        for _ in range(8):
+            crc = (crc >> 1) ^ 0xA001 if crc & 1 else crc >> 1
+        table.append(crc)
+    return tuple(table)
+
+
+_CRC_TABLE = _make_crc_table()
+
+
+def crc16(data: bytes) -> int:
+    """Return the Modbus CRC (polynomial 0xA001 reflected, start 0xFFFF); it is sent low byte first."""
+    crc = 0xFFFF
+    table = _CRC_TABLE
+    for byte in data:
+        crc = (crc >> 8) ^ table[(crc ^ byte) & 0xFF]
+    return crc
+
+
+def rtu_frame(unit: int, pdu: bytes) -> bytes:
+    """Return unit id, protocol data unit and CRC."""
+    body = bytes([unit]) + pdu
+    return body + struct.pack("<H", crc16(body))
+
+
+def mbap_frame(transaction: int, unit: int, pdu: bytes) -> bytes:
+    """Return the MBAP header, which repeats the request's transaction number, and the protocol data unit."""
+    return struct.pack(">HHHB", transaction, 0, len(pdu) + 1, unit) + pdu
+
+
+class RtuReceiver:
+    """Finds RTU requests by their length, which function code and byte count tell, and by silence."""
+
+    def __init__(self) -> None:
+        self._buffer = b""
+        self._last_s = 0.0
+
+    def feed(self, data: bytes) -> list[tuple[int, bytes]]:
+        """Return the complete requests as (unit id, protocol data unit); a damaged frame is dropped in silence."""
+        now_s = time.monotonic()
+        if now_s - self._last_s > SILENCE_S:
+            self._buffer = b""
+        self._last_s = now_s
+        self._buffer += data
+        requests: list[tuple[int, bytes]] = []
+        while (length := _request_length(self._buffer)) is not None and len(self._buffer) >= length:
+            frame, self._buffer = self._buffer[:length], self._buffer[length:]
+            if crc16(frame) != 0:  # the CRC over a whole frame, its own CRC included, is zero
+                self._buffer = b""  # out of step: a slave listens again after the next silence
+                break
+            requests.append((frame[0], frame[1:-2]))
+        if len(self._buffer) > _MAX_RTU_BYTES:
+            self._buffer = b""
+        return requests
+
+
+def _request_length(buffer: bytes) -> int | None:
+    """Bytes of the request that `buffer` begins with, CRC included; None if too few are there to tell."""
+    if len(buffer) < 2:
+        return None
+    function = buffer[1]
+    if function in (0x0F, 0x10):
+        return 9 + buffer[6] if len(buffer) > 6 else None
+    if 1 <= function <= 6:
+        return 8
+    return max(4, len(buffer))  # an unknown function: the frame is what arrived together
+
+
+class MbapReceiver:
+    """Finds Modbus TCP requests."""
+
+    def __init__(self) -> None:
+        self._buffer = b""
+
+    def feed(self, data: bytes) -> list[tuple[int, int, bytes]]:
+        """Return complete requests as (transaction number, unit id, protocol data unit).
+
+        A header that is not Modbus's cannot be resynchronised; what was received is dropped.
+        """
+        self._buffer += data
+        requests: list[tuple[int, int, bytes]] = []
+        while len(self._buffer) >= 8:
+            transaction, protocol, length, unit = struct.unpack_from(">HHHB", self._buffer)
+            if protocol != 0 or not 2 <= length <= _MAX_MBAP_LENGTH:
+                self._buffer = b""
+                break
+            end = 6 + length
+            if len(self._buffer) < end:
+                break
+            requests.append((transaction, unit, self._buffer[7:end]))
+            self._buffer = self._buffer[end:]
+        return requests

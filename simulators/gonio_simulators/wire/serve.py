@@ -1,0 +1,198 @@
+"""Which ports a rig file asks for, and serving them: one bench, one loop, one process."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+from urllib.parse import urlsplit
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from gonio.config import Positive, validate
+from gonio.errors import ConfigError
+from gonio_simulators.bench.bench import Bench
+from gonio_simulators.wire.applied_motion import AppliedMotionLine, Framing, WordOrder
+from gonio_simulators.wire.cs260 import Cornerstone260
+from gonio_simulators.wire.elliptec import Elliptec
+from gonio_simulators.wire.lines import Instrument, PtyPort, TcpPort
+from gonio_simulators.wire.sr830 import Sr830
+from gonio_simulators.wire.zaber import ZaberChain
+
+LOOPBACK = {"127.0.0.1", "localhost"}
+
+
+class _Table(BaseModel):
+    """A table shared with the drivers and the bench, whose other keys are none of our business."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+
+class _AxisTable(_Table):
+    device: Annotated[int, Field(strict=True, ge=1, le=99)]
+    steps_per_turn: Positive = 20000.0
+
+
+class _StageTable(_Table):
+    driver: str
+    address: str = "simulated"
+    framing: Framing = "rtu"
+    word_order: WordOrder = "big"
+    theta_i: _AxisTable
+    theta_mes: _AxisTable
+
+
+class _DeviceTable(_Table):
+    driver: str
+    address: str = "simulated"
+    device: Annotated[str, Field(pattern="^[0-9A-F]$")] = "0"
+
+
+class _SpectrometerTable(_Table):
+    monochromator: _DeviceTable
+    lockin: _DeviceTable
+
+
+class RigPorts(_Table):
+    """What the rig file says of lines."""
+
+    stage: _StageTable
+    polarizer: _DeviceTable
+    spectrometer: _SpectrometerTable
+
+
+@dataclass(frozen=True, slots=True)
+class Served:
+    """One printed line: a port of a role and the protocol spoken there."""
+
+    role: Literal["stage", "polarizer", "monochromator", "lockin"]
+    protocol: str
+    port: TcpPort | PtyPort
+
+    def __str__(self) -> str:
+        return f"{self.role} {self.protocol} {self.port.address}"
+
+
+def plan_ports(bench: Bench, tables: Mapping[str, Any], *, with_pty: bool, source: str) -> list[Served]:
+    """Return the ports to be started for the rig file's raw tables.
+
+    Raises
+    ------
+    ConfigError
+        If a table is missing or wrong, or names a driver whose instrument has no simulator.
+    """
+    rig = validate(RigPorts, tables, source=source)
+    spectrometer = rig.spectrometer
+    wanted: list[tuple[Any, str, Instrument, str]] = [
+        ("stage", *_stage(bench, rig.stage, source), rig.stage.address),
+        (
+            "polarizer",
+            *_instrument(
+                {"elliptec": lambda: Elliptec(bench, address=rig.polarizer.device)},
+                rig.polarizer.driver,
+                f"{source}: polarizer",
+            ),
+            rig.polarizer.address,
+        ),
+        (
+            "monochromator",
+            *_instrument(
+                {"cs260": lambda: Cornerstone260(bench)},
+                spectrometer.monochromator.driver,
+                f"{source}: spectrometer.monochromator",
+            ),
+            spectrometer.monochromator.address,
+        ),
+        (
+            "lockin",
+            *_instrument(
+                {"sr830": lambda: Sr830(bench)}, spectrometer.lockin.driver, f"{source}: spectrometer.lockin"
+            ),
+            spectrometer.lockin.address,
+        ),
+    ]
+    served: list[Served] = []
+    for role, protocol, instrument, address in wanted:
+        served.append(Served(role, protocol, TcpPort(instrument, port=wanted_port(address, source=source))))
+        if with_pty and protocol != "modbus-tcp":
+            served.append(Served(role, protocol, PtyPort(instrument)))
+    return served
+
+
+def wanted_port(address: str, *, source: str) -> int:
+    """Return the port that an address of the rig file asks for, 0 for any free one.
+
+    Only a TCP address of this machine can be served; a serial port or another machine stands for the real instrument,
+    whose simulator gets a free port.
+    """
+    if "://" not in address:
+        return 0
+    try:
+        parts = urlsplit(address)
+        port = parts.port or 0
+    except ValueError as error:
+        raise ConfigError(
+            f"{source}: address = '{address}': {error}; write it as socket://127.0.0.1:40001"
+        ) from None
+    return port if parts.hostname in LOOPBACK else 0
+
+
+async def serve(
+    ports: list[Served], stop: asyncio.Event, *, announce: Callable[[list[Served]], None]
+) -> None:
+    """Serve until `stop` is set; `announce` is called once everything listens.
+
+    Raises
+    ------
+    ConfigError
+        If a port cannot be opened; nothing stays open then.
+    """
+    try:
+        for served in ports:
+            try:
+                await served.port.start()
+            except ConfigError as error:
+                raise ConfigError(f"{served.role}: {error}") from None
+        announce(ports)
+        await stop.wait()
+    finally:
+        for served in ports:
+            served.port.close()
+        await asyncio.sleep(0)  # one turn of the loop, in which the transports let go of their sockets
+
+
+def _stage(bench: Bench, table: _StageTable, source: str) -> tuple[str, Instrument]:
+    if table.theta_i.device == table.theta_mes.device:
+        raise ConfigError(
+            f"{source}: stage.theta_i.device and stage.theta_mes.device are both {table.theta_i.device}; "
+            "two devices on one line need two numbers"
+        )
+    numbers = {"theta_i": table.theta_i.device, "theta_mes": table.theta_mes.device}
+
+    def applied_motion() -> Instrument:
+        return AppliedMotionLine(
+            bench,
+            **numbers,
+            steps_per_turn=(table.theta_i.steps_per_turn, table.theta_mes.steps_per_turn),
+            framing=table.framing,
+            word_order=table.word_order,
+        )
+
+    makers: dict[str, Callable[[], Instrument]] = {
+        "zaber": lambda: ZaberChain(bench, **numbers),
+        "applied-motion": applied_motion,
+    }
+    name, instrument = _instrument(makers, table.driver, f"{source}: stage")
+    return (f"modbus-{table.framing}" if name == "applied-motion" else name), instrument
+
+
+def _instrument(
+    makers: Mapping[str, Callable[[], Instrument]], driver: str, where: str
+) -> tuple[str, Instrument]:
+    if driver not in makers:
+        raise ConfigError(
+            f"{where}.driver = '{driver}' has no simulator; simulated here: {', '.join(makers)}; "
+            "use one of these in the rig file of the simulated bench"
+        )
+    return driver, makers[driver]()
