@@ -16,7 +16,7 @@ from gonio.cli.acquisition import acquire, continue_scan, refuse_bad_plan
 from gonio.cli.analysis import fit_table
 from gonio.cli.progress import progress_bar, readable_duration
 from gonio.errors import ConfigError, StoreError
-from gonio.plan import Plan, estimate, parse_plan
+from gonio.plan import Plan, estimate
 from gonio.rig import RigConfig, load_rig
 from gonio.store import attach_csv_spectrum, load
 
@@ -57,7 +57,7 @@ def demo_plan(*, quick: bool) -> Plan:
     if not quick:
         return plan
     wavelengths = tuple(block.model_copy(update={"step_nm": QUICK_STEP_NM}) for block in plan.wavelengths)
-    return parse_plan(plan.model_copy(update={"wavelengths": wavelengths, "text": ""}).to_toml())
+    return plan.model_copy(update={"wavelengths": wavelengths})
 
 
 def _measure(plan: Plan, rig: RigConfig, path: Path) -> None:
