@@ -218,8 +218,8 @@ def axis_hardware(name: str, table: AxisTable, truth: AxisTruth) -> MotorHardwar
     needed = truth.backlash_deg + HOME_OVERSHOOT_DEG
     if margin <= needed:
         raise ConfigError(
-            f"simulation.{name}.limit_margin_deg = {truth.limit_margin_deg:g} deg leaves no room for the home "
-            f"routine, which needs {needed:g} deg beyond the limits; raise it"
+            f"simulation.{name}.limit_margin_deg = {truth.limit_margin_deg:g} deg leaves no room for the "
+            f"home routine, which needs {needed:g} deg beyond the limits; raise it"
         )
     zone = table.blind_zone_deg - ZONE_MARGIN_DEG
     start = truth.power_on_deg
@@ -230,7 +230,7 @@ def axis_hardware(name: str, table: AxisTable, truth: AxisTruth) -> MotorHardwar
     if not low - margin <= start <= high + margin or abs(start) < zone:
         raise ConfigError(
             f"simulation.{name}.power_on_deg = {start:g} deg lies beyond a switch of the axis (limits "
-            f"{low:g}...{high:g} deg, blind zone |{name}| < {table.blind_zone_deg:g} deg); choose an angle it can stand at"
+            f"{low:g}...{high:g} deg, blind zone +-{table.blind_zone_deg:g} deg); choose an angle between"
         )
     return MotorHardware(
         name=name,

@@ -23,7 +23,7 @@ ZONE_MARGIN_DEG = 0.3
 """How far inside the blind zone's border its limit switch sits, so that the border itself can be reached."""
 
 HOME_OVERSHOOT_DEG = 0.2
-"""How far the home routine runs past the home switch before it comes back to it."""
+"""How far above the home switch the home routine turns, to come down to it."""
 
 
 class _Hardware(BaseModel):

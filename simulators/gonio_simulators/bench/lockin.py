@@ -134,7 +134,7 @@ class Lockin:
         self._time_s = now_s
 
     def _pieces(self, start_s: float, end_s: float) -> list[tuple[float, bool]]:
-        """Cut an interval where changes begin and end; each piece as its end, and whether the signal changes."""
+        """Cut an interval where changes begin and end; of each piece its end, and whether it changes."""
         changes = self._moving_between(start_s, end_s)
         if not changes:
             return [(end_s, False)]

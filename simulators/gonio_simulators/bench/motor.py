@@ -1,9 +1,10 @@
 """One motorised rotation axis: what its controller counts, and where its arm truly is.
 
-The motor shaft stands at `q` steps, the arm behind the gear's lost motion at `p` steps, with ``q <= p <= q +
-b``: going up, the shaft pushes the arm (``p = q``); going down, it first takes up the lost motion `b` (``p =
-q + b``).  The home routine ends going up, so the counter is true for targets approached by rising counts, and
-`backlash_deg` off otherwise. The switches sit at the arm.  Angles are ``zero_deg + p / steps_per_deg``.
+The motor shaft stands at `q` steps, the arm behind the gear's lost motion `b` at `p` steps: while the angle falls,
+the shaft takes the arm along at ``p = q``; while it rises, it first takes up the lost motion and the arm stays `b`
+behind.  The home routine ends with a falling angle, so the counter is true for targets approached from above and
+`backlash_deg` off for those approached from below.  The switches sit at the arm.  Angles are
+``zero_deg + p / steps_per_deg``.
 """
 
 from __future__ import annotations
@@ -70,7 +71,9 @@ class Motor:
         self.acceleration_steps_s2: float = hardware.acceleration_deg_s2 * scale
         self.referenced = False
         self._fault = Fault.NONE
-        self._lost = float(round(hardware.backlash_deg * scale))
+        # The arm stands between these offsets from the shaft; a negative scale counts up where the angle falls.
+        lost = float(round(hardware.backlash_deg * scale))
+        self._play = (0.0, lost) if hardware.steps_per_deg < 0 else (-lost, 0.0)
         self._rest = float(round(self._steps(hardware.power_on_deg)))
         self._arm = self._rest
         self._count_origin = self._rest  # the counter says 0 where power came on
@@ -95,11 +98,12 @@ class Motor:
         )
 
     def home(self) -> None:
-        """Run past the home switch and come back to it with rising counts, at reduced speed."""
+        """Go to the home switch at reduced speed, the last bit with a falling angle."""
         now_s = self._begin()
         position, speed = self._motion(now_s)
         fast, acceleration = HOMING_SPEED * self.speed_steps_s, self.acceleration_steps_s2
-        beyond = -(self._lost + float(round(HOME_OVERSHOOT_DEG * abs(self.hardware.steps_per_deg))))
+        above = self.hardware.zero_deg + self.hardware.backlash_deg + HOME_OVERSHOOT_DEG
+        beyond = float(round(self._steps(above)))
         pieces = pieces_to(now_s, position, speed, beyond, fast, acceleration)
         turn_s = pieces[-1].start_s + pieces[-1].duration_s if pieces else now_s
         self.referenced = False
@@ -210,7 +214,7 @@ class Motor:
         bottom, down_fault = max(
             ((e, f) for e, f in self._down_edges if e <= arm), default=(-math.inf, Fault.NONE), key=_edge
         )
-        kept, border = cut_at(pieces, bottom - self._lost, top)
+        kept, border = cut_at(pieces, bottom - self._play[1], top - self._play[0])
         self._rest, self._arm = position, arm
         self._pieces, self._arms = kept, []
         for piece in kept:
@@ -219,7 +223,9 @@ class Motor:
         self._end_angle_deg = self._angle(arm)
         self._homing = homing
         self._end_s = kept[-1].start_s + kept[-1].duration_s if kept else now_s
-        self._pending_fault = Fault.NONE if border is None else up_fault if border == top else down_fault
+        self._pending_fault = (
+            Fault.NONE if border is None else up_fault if border == top - self._play[0] else down_fault
+        )
         self._settle(now_s)
 
     def _settle(self, now_s: float) -> None:
@@ -255,7 +261,7 @@ class Motor:
 
     def _drag(self, arm: float, shaft: float) -> float:
         """Arm after the shaft went to `shaft` without reversal."""
-        return min(max(arm, shaft), shaft + self._lost)
+        return min(max(arm, shaft + self._play[0]), shaft + self._play[1])
 
 
 def _edge(entry: tuple[float, Fault]) -> float:

@@ -29,12 +29,12 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
-NODES = 20
+NODES = 16
 PANEL_RAD = 0.5
 PANEL_LOBE_WIDTHS = 6.0
 NEGLIGIBLE = 45.0  # exp(-45) = 3e-20
 EDGE_POWER = 6
-"""Nodes near the rim of the lobe's half space follow ``x = y**EDGE_POWER``: cos_+^alpha is not smooth there."""
+"""Nodes near the rim of the lobe follow ``x = y**EDGE_POWER``: cos_+^alpha is not smooth there."""
 
 SMOOTH_RIM_ALPHA = 30.0
 """From this exponent on the rim carries nothing."""

@@ -26,7 +26,7 @@ from gonio_simulators.bench.truth import Truth
 FloatArray = NDArray[np.float64]
 
 TABLE_ERROR = 1e-9
-"""Relative to a table's largest integral; its last three Chebyshev coefficients must be below a tenth of it."""
+"""Relative to a table's largest integral; its last three Chebyshev coefficients are below a tenth of it."""
 
 MOST_COEFFICIENTS = 256
 POSITIONS_KEPT = 2048
