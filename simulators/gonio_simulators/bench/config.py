@@ -135,10 +135,6 @@ class SpectrometerTable(_Hardware):
     detectors: tuple[DetectorTable, ...] = Field(min_length=1)
 
 
-# -- [simulation]
-# ---------------------------------------------------------------------------------------------------
-
-
 def _as_spectrum(value: Any) -> Any:
     if isinstance(value, bool) or not isinstance(value, int | float | Mapping | Spectrum):
         raise ValueError(

@@ -95,9 +95,6 @@ class Monochromator:
         self._changes: list[_Change] = []
         self.busy_until_s = 0.0
 
-    # -- commands; each raises ValueError for what the instrument does not have
-    # ------------------------------------
-
     def goto(self, wavelength_nm: float) -> None:
         """Turn the grating to a wavelength."""
         low, high = self.wavelength_range_nm
@@ -151,9 +148,6 @@ class Monochromator:
         self._changes = [c for c in self._changes if c.end_s <= now_s]
         self._now = here._replace(blocked=False)
         self.busy_until_s = now_s
-
-    # -- questions
-    # -------------------------------------------------------------------------------------------------
 
     def is_busy(self) -> bool:
         """Say whether something still moves."""

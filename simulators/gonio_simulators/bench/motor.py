@@ -1,10 +1,11 @@
 """One motorised rotation axis: what its controller counts, and where its arm truly is.
 
-The motor shaft stands at `q` steps, the arm behind the gear's lost motion `b` at `p` steps: while the angle falls,
-the shaft takes the arm along at ``p = q``; while it rises, it first takes up the lost motion and the arm stays `b`
-behind.  The home routine ends with a falling angle, so the counter is true for targets approached from above and
-`backlash_deg` off for those approached from below.  The switches sit at the arm.  Angles are
-``zero_deg + p / steps_per_deg``.
+The motor shaft stands at `q` steps, the arm behind the gear's lost motion `b` at `p` steps.  While the angle
+falls, the shaft takes the arm along at ``p = q``; while it rises, it first takes up the lost motion and the arm
+stays `b` behind.  The home routine ends with a falling angle, so the counter is true for targets approached from
+above and `backlash_deg` off for those approached from below.
+
+The switches sit at the arm.  Angles are ``zero_deg + p / steps_per_deg``.
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ class Motor:
         self.acceleration_steps_s2: float = hardware.acceleration_deg_s2 * scale
         self.referenced = False
         self._fault = Fault.NONE
-        # The arm stands between these offsets from the shaft; a negative scale counts up where the angle falls.
+        # Where the arm may stand, relative to the shaft; with a negative scale a falling angle counts up.
         lost = float(round(hardware.backlash_deg * scale))
         self._play = (0.0, lost) if hardware.steps_per_deg < 0 else (-lost, 0.0)
         self._rest = float(round(self._steps(hardware.power_on_deg)))
@@ -84,9 +85,6 @@ class Motor:
         self._pending_fault = Fault.NONE
         self._homing = False
         self._up_edges, self._down_edges = self._edges()
-
-    # -- commands
-    # --------------------------------------------------------------------------------------------------
 
     def move_absolute(self, target_steps: int) -> None:
         """Go to a count, from wherever the motor is and however fast it runs."""
@@ -124,9 +122,6 @@ class Motor:
         """Forget the latched fault; the motor stays where it is."""
         self._settle(self.clock.now_s())
         self._fault = Fault.NONE
-
-    # -- questions
-    # -------------------------------------------------------------------------------------------------
 
     def position_steps(self) -> int:
         """Return the controller's count; before homing it is off by an unknown constant."""
@@ -169,9 +164,6 @@ class Motor:
         """Bench times of start and end of the last motion; an interval of no length if there was none."""
         return (self._pieces[0].start_s if self._pieces else math.inf), self._end_s
 
-    # -- inside
-    # ----------------------------------------------------------------------------------------------------
-
     def _steps(self, angle_deg: float) -> float:
         return (angle_deg - self.hardware.zero_deg) * self.hardware.steps_per_deg
 
@@ -209,10 +201,12 @@ class Motor:
         position, _ = self._motion(now_s)
         arm = self._arm_at(now_s)
         top, up_fault = min(
-            ((e, f) for e, f in self._up_edges if e >= arm), default=(math.inf, Fault.NONE), key=_edge
+            ((e, f) for e, f in self._up_edges if e >= arm - 1.0), default=(math.inf, Fault.NONE), key=_edge
         )
         bottom, down_fault = max(
-            ((e, f) for e, f in self._down_edges if e <= arm), default=(-math.inf, Fault.NONE), key=_edge
+            ((e, f) for e, f in self._down_edges if e <= arm + 1.0),
+            default=(-math.inf, Fault.NONE),
+            key=_edge,
         )
         kept, border = cut_at(pieces, bottom - self._play[1], top - self._play[0])
         self._rest, self._arm = position, arm
