@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 
@@ -27,8 +28,8 @@ class Refusal:
             return self.reason
         at = self.position
         return (
-            f"position {at.index + 1} (theta_i = {at.theta_i_deg:g} deg, theta_mes = {at.theta_mes_deg:g} deg, "
-            f"{at.polarization}): {self.reason}"
+            f"position {at.index + 1} (theta_i = {at.theta_i_deg:g} deg, theta_mes = {at.theta_mes_deg:g} "
+            f"deg, {at.polarization}): {self.reason}"
         )
 
 
@@ -112,12 +113,14 @@ class Durations:
         return float(self.position_s.sum() + self.start_references_s.sum() + self.end_references_s.sum())
 
 
-def reference_sequence(plan: Plan, when: When) -> list[tuple[str, str]]:
+def reference_sequence(
+    plan: Plan, when: When
+) -> list[tuple[Literal["dark", "baseline"], Literal["any", "s", "p"]]]:
     """Return the reference readings due at `when` as (kind, polarization), in measuring order.
 
     The dark signal has no polarization (the shutter is closed): it is taken once, for ``any``.
     """
-    sequence: list[tuple[str, str]] = []
+    sequence: list[tuple[Literal["dark", "baseline"], Literal["any", "s", "p"]]] = []
     if when in plan.references.dark:
         sequence.append(("dark", "any"))
     if when in plan.references.baseline:
@@ -128,10 +131,10 @@ def reference_sequence(plan: Plan, when: When) -> list[tuple[str, str]]:
 def durations(plan: Plan, rig: RigConfig) -> Durations:
     """Return the estimated instrument time of every part of a plan that `check` accepts.
 
-    Motion is the slower of the two axes, which move at once, with the overshoot that takes out the backlash;
-    a pass over the wavelengths is what the spectrometer's driver says.  Not counted: homing, the turning of the
-    polarizer (twice per sweep), and the first move to the baseline position, since nobody knows where the axes
-    stand.
+    Motion is the slower of the two axes, which move at once, with the overshoot that takes out the
+    backlash; a pass over the wavelengths is what the spectrometer's driver says.  Not counted: homing,
+    the turning of the polarizer (twice per sweep), and the first move to the baseline position, since
+    nobody knows where the axes stand.
     """
     wavelength_nm = plan.wavelength_nm
     pass_s = rig.spectrometer.reading_duration_s(wavelength_nm, plan.reading.averages)

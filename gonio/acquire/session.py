@@ -1,0 +1,218 @@
+"""What a scan has on the disk: its journal and the NeXus file made from it, kept in step.
+
+A record is appended to the journal and confirmed by the disk, then written into the `.h5` and flushed.
+Whatever instant the process dies, the journal holds every finished position once; `Session.resume` makes
+the `.h5` anew from it beside the old one, puts it in the old one's place in one step, and goes on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from gonio.acquire.journal import Journal, journal_path
+from gonio.errors import StoreError
+from gonio.plan.model import Plan, parse_plan
+from gonio.rig import RigConfig
+from gonio.store.file import ScanFile, explained, sync_file
+from gonio.store.layout import SPECTRUM_GROUPS
+from gonio.store.records import (
+    DetectorFacts,
+    EventRecord,
+    PositionRecord,
+    Record,
+    ReferenceRecord,
+    RigFacts,
+    ScanHeader,
+)
+
+_BLOCK = 256  # positions written at a time when the file is made anew
+
+
+class Session:
+    """The files of a running scan.
+
+    Attributes
+    ----------
+    done
+        Keys of the steps whose records are on the disk (see `gonio.acquire.steps`).
+    last_time_s, last_unix_s
+        Latest time on the scan's axis and on the computer's clock that a record bears.
+    """
+
+    def __init__(self, path: Path, header: ScanHeader, journal: Journal, file: ScanFile) -> None:
+        self.path = path
+        self.header = header
+        self.done: set[int | tuple[str, str, str]] = set()
+        self.last_time_s = 0.0
+        self.last_unix_s = header.unix_s
+        self._journal = journal
+        self._file = file
+
+    @classmethod
+    def begin(cls, path: Path, header: ScanHeader, plan: Plan) -> Session:
+        """Create both files; neither may exist."""
+        refuse_existing(path)
+        journal = Journal.create(journal_path(path), header)
+        try:
+            return cls(path, header, journal, ScanFile(path, header, plan, "x"))
+        except BaseException:
+            journal.remove()  # nothing was measured, and the name must stay free
+            raise
+
+    @classmethod
+    def resume(cls, path: Path, facts: RigFacts) -> tuple[Session, str]:
+        """Make the `.h5` anew from the journal; return the session and a note on damage, if there was any.
+
+        Raises
+        ------
+        StoreError
+            There is no journal, another process holds it, or the scan was made on a rig that differs from
+            `facts`.
+        """
+        journal, header, records, note = Journal.reopen(journal_path(path))
+        try:
+            _refuse_other_rig(path, header.rig, facts)
+            file, remark = _rebuild(path, header, records)
+        except BaseException:
+            journal.close()
+            raise
+        session = cls(path, header, journal, file)
+        for record in records:
+            session._note(record)
+        return session, "; ".join(text for text in (note, remark) if text)
+
+    def record(self, record: ReferenceRecord | PositionRecord | EventRecord) -> None:
+        """Keep a record for good: it is on the disk when this returns."""
+        self._journal.append(record)
+        self._note(record)
+        _add(self._file, [record])
+        self._file.flush()
+
+    def _note(self, record: Record) -> None:
+        if isinstance(record, PositionRecord):
+            self.done.add(record.index)
+        elif isinstance(record, ReferenceRecord):
+            self.done.add((record.kind, record.when, record.polarization))
+        if isinstance(record, EventRecord):
+            latest_s = record.time_s
+        elif isinstance(record, ScanHeader):
+            latest_s = 0.0
+        else:
+            latest_s = float(np.nanmax(record.time_s))
+        self.last_time_s = max(self.last_time_s, latest_s)
+        self.last_unix_s = max(self.last_unix_s, record.unix_s)
+
+    def finish(self, end_time: str) -> None:
+        """Correct all positions with all references, close the file for good and remove the journal."""
+        self._file.finish(end_time)
+        self._file.close()
+        with explained(self.path, "finished"):
+            sync_file(self.path)
+            self._journal.remove()
+
+    def close(self) -> None:
+        """Close both files as they are; the scan can be resumed."""
+        try:
+            self._file.close()
+        finally:
+            self._journal.close()
+
+
+def facts_of(config: RigConfig) -> RigFacts:
+    """Return what of the rig decides the meaning of the data."""
+    return RigFacts(
+        name=config.name,
+        width_mm=config.aperture.width_mm,
+        height_mm=config.aperture.height_mm,
+        distance_mm=config.aperture.distance_mm,
+        baseline_theta_i_deg=config.baseline.theta_i_deg,
+        baseline_theta_mes_deg=config.baseline.theta_mes_deg,
+        s_deg=config.polarizer.s_deg,
+        p_deg=config.polarizer.p_deg,
+        detectors=tuple(DetectorFacts(d.name, d.type, *d.range_nm) for d in config.spectrometer.detectors),
+    )
+
+
+def refuse_existing(path: Path) -> None:
+    """Raise `StoreError` if the file, or the journal of an unfinished scan, is already there."""
+    if journal_path(path).exists():
+        raise StoreError(
+            f"{path}: an unfinished scan is there; continue it with gonio scan --resume {path}, or choose "
+            "another name"
+        )
+    if path.exists():
+        raise StoreError(f"{path} exists already and is never overwritten; choose another name")
+    if not path.absolute().parent.is_dir():
+        raise StoreError(f"{path}: the folder {path.absolute().parent} does not exist; make it first")
+
+
+def _refuse_other_rig(path: Path, stored: RigFacts, facts: RigFacts) -> None:
+    if stored == facts:
+        return
+    differing = [
+        f"{name} was {getattr(stored, name)} and is {getattr(facts, name)}"
+        for name in RigFacts.__slots__
+        if getattr(stored, name) != getattr(facts, name)
+    ]
+    raise StoreError(
+        f"{path}: cannot be resumed on another rig ({'; '.join(differing)}); use the rig file of the scan's "
+        "beginning"
+    )
+
+
+def _add(file: ScanFile, records: Sequence[Record]) -> None:
+    """Write records in order, runs of consecutive positions at once."""
+    block: list[PositionRecord] = []
+    for record in records:
+        if isinstance(record, PositionRecord):
+            if block and (record.index != block[-1].index + 1 or len(block) == _BLOCK):
+                file.add_positions(block)
+                block = []
+            block.append(record)
+            continue
+        if block:
+            file.add_positions(block)
+            block = []
+        if isinstance(record, ReferenceRecord):
+            file.add_reference(record)
+        elif isinstance(record, EventRecord):
+            file.add_event(record)
+    if block:
+        file.add_positions(block)
+
+
+def _rebuild(path: Path, header: ScanHeader, records: Sequence[Record]) -> tuple[ScanFile, str]:
+    """Make the file of the records in the place of the old one; return it and a remark on what was lost."""
+    plan = parse_plan(header.plan_text, source=f"the plan in {journal_path(path).name}")
+    temporary = path.with_name(path.name + ".rebuilt")  # under the journal's lock: a leftover is ours
+    file = ScanFile(temporary, header, plan, "w")
+    try:
+        _add(file, records)
+        remark = _carry_over(path, file)
+        file.move_to(path)
+    except BaseException:
+        file.close()
+        temporary.unlink(missing_ok=True)
+        raise
+    return file, remark
+
+
+def _carry_over(old_path: Path, file: ScanFile) -> str:
+    """Copy what others have put into the old file: spectra always, fits only if they saw the whole scan."""
+    try:
+        with h5py.File(old_path, "r") as old:
+            entry = old["entry"]
+            finished = entry.attrs.get("scan_status") == "finished"
+            fits = [name for name in entry if name.startswith("fit_")]
+            keep = [name for name in SPECTRUM_GROUPS if name in entry] + (fits if finished else [])
+            for name in keep:
+                file.copy_group(entry[name])
+    except (OSError, RuntimeError, KeyError):
+        return ""  # torn by the crash, or never there; the journal has all that was measured
+    if fits and not finished:
+        return f"{', '.join(fits)} saw only a part of the scan and was dropped; fit again"
+    return ""

@@ -1,0 +1,94 @@
+"""Which steps a scan consists of, and how long those take that are left."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from gonio.plan.check import durations, reference_sequence
+from gonio.plan.model import Plan, Position
+from gonio.rig import RigConfig
+from gonio.store.records import ReferenceKind
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceStep:
+    """One pass over the wavelengths in the baseline position; a dark's polarization is ``any``."""
+
+    kind: ReferenceKind
+    when: Literal["start", "end"]
+    polarization: Literal["any", "s", "p"]
+    duration_s: float
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """What tells it from the scan's other references."""
+        return self.kind, self.when, self.polarization
+
+
+@dataclass(frozen=True, slots=True)
+class PositionStep:
+    """One position of the plan: motion, then a pass over the wavelengths."""
+
+    position: Position
+    duration_s: float
+
+    @property
+    def key(self) -> int:
+        """The position's number."""
+        return self.position.index
+
+
+Step = ReferenceStep | PositionStep
+
+
+def steps_of(plan: Plan, rig: RigConfig) -> list[Step]:
+    """Return every step of the plan in measuring order: starting references, positions, ending references."""
+    times = durations(plan, rig)
+
+    def references(when: Literal["start", "end"], durations_s: Sequence[float]) -> list[Step]:
+        return [
+            ReferenceStep(kind, when, polarization, duration_s)
+            for (kind, polarization), duration_s in zip(
+                reference_sequence(plan, when), durations_s, strict=True
+            )
+        ]
+
+    return [
+        *references("start", times.start_references_s.tolist()),
+        *(PositionStep(*pair) for pair in zip(plan.positions(), times.position_s.tolist(), strict=True)),
+        *references("end", times.end_references_s.tolist()),
+    ]
+
+
+class Pace:
+    """Estimates the time left: the model's, scaled by how much longer the steps so far took than their model.
+
+    The model knows which moves are long, the measurement knows what a reading really takes.  The scale
+    starts at one and is believed as steps accumulate, the first step counting as much as the model.
+    Pauses are left out.
+    """
+
+    def __init__(self, steps: Sequence[Step], now_s: float) -> None:
+        self._left_model_s = sum(step.duration_s for step in steps)
+        self._weight_s = max(max((step.duration_s for step in steps), default=0.0), 1e-9)
+        self._done_model_s = 0.0
+        self._began_s = now_s
+        self._paused_s = 0.0
+
+    def step_done(self, step: Step) -> None:
+        """Count a step."""
+        self._done_model_s += step.duration_s
+        self._left_model_s -= step.duration_s
+
+    def paused(self, duration_s: float) -> None:
+        """Leave out a pause."""
+        self._paused_s += duration_s
+
+    def left_s(self, now_s: float, step: Step | None, fraction: float) -> float:
+        """Return the estimated seconds left when `fraction` of `step` is done."""
+        within_s = step.duration_s * fraction if step is not None else 0.0
+        measured_s = now_s - self._began_s - self._paused_s
+        pace = (measured_s + self._weight_s) / (self._done_model_s + within_s + self._weight_s)
+        return max(self._left_model_s - within_s, 0.0) * pace

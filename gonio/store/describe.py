@@ -1,0 +1,108 @@
+"""The parts of the NeXus file that are known before the first reading: entry, sample, instrument.
+
+Vocabulary of NXoptical_spectroscopy where it has a word; there is no NeXus definition for a BRDF.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import h5py
+
+from gonio.aperture import Aperture
+from gonio.plan.model import Plan
+from gonio.store.records import ScanHeader
+
+
+def text_dataset(group: h5py.Group, name: str, value: str) -> None:
+    """Write a string of any length."""
+    group.create_dataset(name, data=value, dtype=h5py.string_dtype("utf-8"))
+
+
+def quantity(group: h5py.Group, name: str, value: Any, units: str, what: str) -> h5py.Dataset:
+    """Write a number or array with its unit and what it is."""
+    dataset = group.create_dataset(name, data=value)
+    dataset.attrs["units"] = units
+    dataset.attrs["quantity"] = what
+    return dataset
+
+
+def nexus_group(parent: h5py.Group, name: str, nx_class: str) -> h5py.Group:
+    """Make a group of a NeXus class."""
+    group = parent.create_group(name)
+    group.attrs["NX_class"] = nx_class
+    return group
+
+
+def write_entry(file: h5py.File, header: ScanHeader, plan: Plan) -> h5py.Group:
+    """Write `/entry` but for its data, and return it; `scan_status` is ``unfinished`` until the end."""
+    file.attrs["NX_class"] = "NXroot"
+    file.attrs["default"] = "entry"
+    entry = nexus_group(file, "entry", "NXentry")
+    entry.attrs["default"] = "data"
+    entry.attrs["scan_status"] = "unfinished"
+    for name, value in (
+        ("title", plan.title),
+        ("start_time", header.start_time),
+        ("program", header.program),
+        ("plan", header.plan_text),
+        ("rig", header.rig_text),
+        ("experiment_type", "reflection spectroscopy"),
+        ("angle_reference_frame", "sample-normal centered"),
+    ):
+        text_dataset(entry, name, value)
+    sample = nexus_group(entry, "sample", "NXsample")
+    text_dataset(sample, "name", plan.sample.name)
+    text_dataset(sample, "description", plan.sample.description)
+    _write_instrument(entry, header)
+    return entry
+
+
+def _write_instrument(entry: h5py.Group, header: ScanHeader) -> None:
+    rig = header.rig
+    instrument = nexus_group(entry, "instrument", "NXinstrument")
+    text_dataset(instrument, "name", rig.name)
+    for role, answer in header.devices.items():
+        part = nexus_group(instrument, f"{role}_identity", "NXfabrication")
+        text_dataset(part, "model", answer)
+
+    aperture = nexus_group(instrument, "aperture", "NXaperture")
+    text_dataset(aperture, "shape", "rectangle")
+    quantity(aperture, "width", rig.width_mm, "mm", "width in the plane of incidence")
+    quantity(aperture, "height", rig.height_mm, "mm", "height across the plane of incidence")
+    quantity(aperture, "distance", rig.distance_mm, "mm", "distance from the sample's surface")
+    omega = Aperture(rig.width_mm, rig.height_mm, rig.distance_mm).solid_angle_sr
+    quantity(aperture, "solid_angle", omega, "sr", "solid angle of the centred rectangle")
+
+    monochromator = nexus_group(instrument, "monochromator", "NXmonochromator")
+    text_dataset(monochromator, "description", header.devices.get("monochromator", ""))
+    for detector in rig.detectors:
+        group = nexus_group(instrument, f"detector_{detector.name}", "NXdetector")
+        text_dataset(group, "local_name", detector.name)
+        text_dataset(group, "detector_type", detector.type)
+        quantity(
+            group, "wavelength_range", [detector.low_nm, detector.high_nm], "nm", "wavelengths it is used for"
+        )
+        quantity(group, "distance", rig.distance_mm, "mm", "distance from the sample's surface")
+        quantity(group, "solid_angle", omega, "sr", "solid angle of the aperture")
+
+    polarizer = nexus_group(instrument, "polarizer", "NXpolarizer")
+    text_dataset(polarizer, "type", "linear, rotated")
+    quantity(polarizer, "s_angle", rig.s_deg, "deg", "rotator angle that transmits s")
+    quantity(polarizer, "p_angle", rig.p_deg, "deg", "rotator angle that transmits p")
+
+    source = nexus_group(instrument, "source", "NXsource")
+    text_dataset(source, "type", "lamp")
+    text_dataset(source, "probe", "visible light")
+    beam = nexus_group(instrument, "beam", "NXbeam")
+    text_dataset(beam, "description", "parallel beam on the sample; its direct signal is the 100 % baseline")
+    quantity(
+        beam, "baseline_theta_i", rig.baseline_theta_i_deg, "deg", "sample angle of the baseline reading"
+    )
+    quantity(
+        beam,
+        "baseline_theta_mes",
+        rig.baseline_theta_mes_deg,
+        "deg",
+        "detector angle of the baseline reading",
+    )

@@ -1,0 +1,291 @@
+"""The NeXus file of a scan, written position by position.
+
+`ScanFile` holds nothing that the journal does not: it may be lost or torn at any time and is then made anew
+(`gonio.acquire`).  Rows of positions not measured yet hold NaN and the quality flag NOT_MEASURED.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+import h5py
+import numpy as np
+
+from gonio.errors import StoreError
+from gonio.plan.model import Plan
+from gonio.store.describe import nexus_group, text_dataset, write_entry
+from gonio.store.layout import COLUMNS, QUALITY_BITS, chunk_rows
+from gonio.store.records import EventRecord, PositionRecord, ReferenceRecord, ScanHeader
+from gonio.store.reduction import Reduced, Reduction
+from gonio.store.sweeps import write_sweeps
+
+_BLOCK = 1024  # rows corrected at a time: a few MB, however long the scan
+
+
+@contextmanager
+def explained(path: Path, doing: str) -> Iterator[None]:
+    """Turn what h5py and the operating system say into a `StoreError` with the path."""
+    try:
+        yield
+    except (OSError, RuntimeError) as error:
+        raise StoreError(
+            f"{path}: cannot be {doing} ({error}); check the disk's free space and rights"
+        ) from error
+
+
+class ScanFile:
+    """An open scan file; use `create`, then `add_*`, then `finish` and `close`."""
+
+    def __init__(self, path: Path, header: ScanHeader, plan: Plan, mode: Literal["x", "w"]) -> None:
+        self.path = path
+        self._plan = plan
+        self._header = header
+        self._references: list[ReferenceRecord] = []
+        self._reduction = Reduction([], header.detector_index)
+        try:
+            self._file = h5py.File(path, mode)
+        except FileExistsError:
+            raise StoreError(f"{path} exists already and is never overwritten; choose another name") from None
+        except OSError as error:
+            raise StoreError(
+                f"{path}: cannot be created ({error}); check the folder and its rights"
+            ) from None
+        try:
+            with explained(path, "written"):
+                self._describe()
+                self._file.flush()
+        except BaseException:
+            self._file.close()
+            path.unlink(missing_ok=True)  # made just now, and nothing is in it
+            raise
+
+    # -- layout
+    # ------------------------------------------------------------------------------------------------
+
+    def _describe(self) -> None:
+        plan, header = self._plan, self._header
+        entry = write_entry(self._file, header, plan)
+        data = nexus_group(entry, "data", "NXdata")
+        data.attrs["signal"] = "r"
+        data.attrs["axes"] = ["position", "wavelength"]
+        data.attrs["title"] = plan.title
+        positions = plan.positions()
+        n, m = len(positions), len(plan.wavelength_nm)
+        rows = chunk_rows(m)
+        for name, column in COLUMNS.items():
+            shape = {"nm": (n, m), "n": (n,), "m": (m,)}[column.dims]
+            options: dict[str, Any] = {"dtype": column.dtype, "fillvalue": column.fill}
+            if column.dtype == "str":
+                options = {"dtype": h5py.string_dtype("utf-8", 1)}
+            elif np.dtype(column.dtype).kind in "iu" and not np.isfinite(column.fill):
+                del options["fillvalue"]
+            if column.dims == "nm":
+                options["chunks"] = (min(rows, n), m)
+            dataset = data.create_dataset(name, shape, **options)
+            dataset.attrs.update(column.attributes())
+            if column.dims == "n" and column.dtype == "f8":
+                dataset[...] = np.nan  # takes its place on the disk, so that a file's size vouches for its n
+            if column.dims in ("n", "m"):
+                data.attrs[f"{name}_indices"] = 0 if column.dims == "n" else 1
+        data["quality"].attrs["bits"] = QUALITY_BITS
+        data["wavelength"][...] = plan.wavelength_nm
+        data["detector_index"][...] = header.detector_index
+        data["position"][...] = np.arange(n)
+        data["theta_i_set"][...] = [p.theta_i_deg for p in positions]
+        data["theta_mes_set"][...] = [p.theta_mes_deg for p in positions]
+        one_letter = h5py.string_dtype("utf-8", 1)
+        data["polarization"][...] = np.array([p.polarization for p in positions], dtype=one_letter)
+        names = [detector.name for detector in header.rig.detectors]
+        data.create_dataset("detector_names", data=names, dtype=h5py.string_dtype("utf-8"))
+        self._columns = {name: data[name] for name in COLUMNS}
+        write_sweeps(entry, positions)
+        self._describe_references(entry, m)
+        events = nexus_group(entry, "events", "NXcollection")
+        for name in ("level", "source", "message"):
+            events.create_dataset(name, (0,), dtype=h5py.string_dtype("utf-8"), maxshape=(None,))
+        _growing(events, "time", "f8", (), "s", "instrument time since the scan began")
+        self._entry = entry
+
+    def _describe_references(self, entry: h5py.Group, m: int) -> None:
+        group = nexus_group(entry, "references", "NXcollection")
+        for name in ("kind", "when", "polarization"):
+            group.create_dataset(name, (0,), dtype=h5py.string_dtype("utf-8"), maxshape=(None,))
+        _growing(group, "averages", "u4", (), "1", "readings averaged in signal")
+        _growing(group, "theta_i", "f8", (), "deg", "sample angle, read back")
+        _growing(group, "theta_mes", "f8", (), "deg", "detector angle, read back")
+        _growing(group, "time", "f8", (m,), "s", "instrument time since the scan began")
+        _growing(group, "signal", "f8", (m,), "V", "raw signal, mean of the repeats")
+        _growing(group, "signal_sd", "f8", (m,), "V", "standard deviation of a single reading")
+        _growing(
+            group, "wavelength_readback", "f8", (m,), "nm", "wavelength read back from the monochromator"
+        )
+        _growing(group, "quality", "u2", (m,), "1", "bits of gonio.devices.Quality, 0 is a good reading")
+
+    # -- what is measured
+    # --------------------------------------------------------------------------------------
+
+    def add_reference(self, record: ReferenceRecord) -> None:
+        """Append a reference; r already stored changes only at `finish`."""
+        with explained(self.path, "written"):
+            _append(
+                self._entry["references"],
+                {
+                    "kind": record.kind,
+                    "when": record.when,
+                    "polarization": record.polarization,
+                    "averages": record.averages,
+                    "theta_i": record.theta_i_deg,
+                    "theta_mes": record.theta_mes_deg,
+                    "time": record.time_s,
+                    "signal": record.signal_v,
+                    "signal_sd": record.signal_sd_v,
+                    "wavelength_readback": record.wavelength_nm,
+                    "quality": record.quality,
+                },
+            )
+        self._references.append(record)
+        self._reduction = Reduction(self._references, self._header.detector_index)
+
+    def add_positions(self, records: Sequence[PositionRecord]) -> None:
+        """Write the rows of positions whose indices follow each other without a gap."""
+        first, last = records[0].index, records[-1].index
+        if [record.index for record in records] != list(range(first, last + 1)):
+            raise ValueError("the positions of a block must be consecutive")
+        raw = np.stack([record.signal_v for record in records])
+        raw_sd = np.stack([record.signal_sd_v for record in records])
+        time_s = np.stack([record.time_s for record in records])
+        averages = np.array([record.averages for record in records])
+        theta_i = np.array([record.theta_i_deg for record in records])
+        theta_mes = np.array([record.theta_mes_deg for record in records])
+        reduced = self._reduction.apply(
+            raw, raw_sd, averages, time_s, [record.polarization for record in records]
+        )
+        rows = slice(first, last + 1)
+        with explained(self.path, "written"):
+            self._write_reduced(rows, reduced)
+            for name, values in (
+                ("raw_signal", raw),
+                ("raw_signal_sd", raw_sd),
+                ("reading_time", time_s),
+                ("wavelength_readback", np.stack([record.wavelength_nm for record in records])),
+                ("quality", np.stack([record.quality for record in records])),
+                ("theta_i", theta_i),
+                ("theta_mes", theta_mes),
+                ("theta_o", theta_mes - theta_i),
+                ("time", time_s[:, 0]),
+                ("polarizer_angle", np.array([record.polarizer_deg for record in records])),
+                ("averages", averages),
+            ):
+                self._columns[name][rows] = values
+
+    def _write_reduced(self, rows: slice, reduced: Reduced) -> None:
+        for name, values in (
+            ("r", reduced.r),
+            ("r_errors", reduced.r_sd),
+            ("dark", reduced.dark_v),
+            ("baseline", reduced.baseline_v),
+            ("gain_uncertainty", reduced.gain_u),
+            ("offset_uncertainty", reduced.offset_u),
+        ):
+            self._columns[name][rows] = values
+
+    def add_event(self, event: EventRecord) -> None:
+        """Append an event."""
+        with explained(self.path, "written"):
+            _append(
+                self._entry["events"],
+                {
+                    "time": event.time_s,
+                    "level": event.level,
+                    "source": event.source,
+                    "message": event.message,
+                },
+            )
+
+    def copy_group(self, group: h5py.Group) -> None:
+        """Copy a group of another file into `/entry`."""
+        group.file.copy(group, self._entry)
+
+    def flush(self) -> None:
+        """Hand everything to the operating system, so that the file opens if this process dies now."""
+        with explained(self.path, "written"):
+            self._file.flush()
+
+    def finish(self, end_time: str) -> None:
+        """Correct every position with all references, and mark the scan as finished."""
+        polarization = np.array([p.polarization for p in self._plan.positions()])
+        columns = self._columns
+        with explained(self.path, "finished"):
+            for low in range(0, len(polarization), _BLOCK):
+                rows = slice(low, low + _BLOCK)
+                reduced = self._reduction.apply(
+                    columns["raw_signal"][rows],
+                    columns["raw_signal_sd"][rows],
+                    columns["averages"][rows],
+                    columns["reading_time"][rows],
+                    polarization[rows].tolist(),
+                )
+                self._write_reduced(rows, reduced)
+            text_dataset(self._entry, "end_time", end_time)
+            self._entry.attrs["scan_status"] = "finished"
+            self._file.flush()
+
+    def close(self) -> None:
+        """Close the file; more than once does nothing."""
+        if self._file.id.valid:
+            with explained(self.path, "closed"):
+                self._file.close()
+
+    def move_to(self, path: Path) -> None:
+        """Put the file in the place of `path` in one step, and go on writing it there."""
+        self.close()
+        with explained(path, "replaced"):
+            sync_file(self.path)
+            os.replace(self.path, path)
+            sync_folder(path.parent)
+            self.path = path
+            self._file = h5py.File(path, "r+")
+            self._entry = self._file["entry"]
+            self._columns = {name: self._entry["data"][name] for name in COLUMNS}
+
+
+def _growing(
+    group: h5py.Group, name: str, dtype: str, shape: tuple[int, ...], units: str, quantity: str
+) -> None:
+    dataset = group.create_dataset(
+        name, (0, *shape), dtype=dtype, maxshape=(None, *shape), chunks=(16, *shape)
+    )
+    dataset.attrs["units"] = units
+    dataset.attrs["quantity"] = quantity
+
+
+def _append(group: h5py.Group, row: dict[str, Any]) -> None:
+    """Add one entry to each of the growing datasets of a group."""
+    for name, value in row.items():
+        dataset = group[name]
+        dataset.resize(dataset.shape[0] + 1, axis=0)
+        dataset[-1] = value
+
+
+def sync_file(path: Path) -> None:
+    """Wait until a closed file's contents are on the disk."""
+    descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def sync_folder(folder: Path) -> None:
+    """Wait until a new, renamed or removed name is on the disk; Windows does this by itself."""
+    if os.name == "nt":
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

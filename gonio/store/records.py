@@ -1,0 +1,108 @@
+"""What a scan produces, one record at a time: its header, references, positions and events.
+
+The journal stores these records, the NeXus file is made from them, and nothing else is measured.  Times
+are seconds on the instrument clock since the scan began; `unix_s` is the computer's clock.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.devices import FloatArray, Polarization
+
+ReferenceKind = Literal["dark", "baseline"]
+When = Literal["start", "end"]
+Level = Literal["info", "warning", "error"]
+
+
+@dataclass(frozen=True, slots=True)
+class DetectorFacts:
+    """One detector as the rig file has it."""
+
+    name: str
+    type: str
+    low_nm: float
+    high_nm: float
+
+
+@dataclass(frozen=True, slots=True)
+class RigFacts:
+    """What of the rig decides the meaning of the data; a scan is only resumed where all of it is equal."""
+
+    name: str
+    width_mm: float
+    height_mm: float
+    distance_mm: float
+    baseline_theta_i_deg: float
+    baseline_theta_mes_deg: float
+    s_deg: float
+    p_deg: float
+    detectors: tuple[DetectorFacts, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanHeader:
+    """What is known before the first reading; `detector_index` is (m,) uint8 into `rig.detectors`."""
+
+    plan_text: str
+    rig_text: str
+    rig: RigFacts
+    detector_index: NDArray[np.uint8]
+    devices: dict[str, str]
+    program: str
+    start_time: str  # ISO 8601 with offset
+    unix_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReferenceRecord:
+    """One pass with the shutter closed (polarization ``any``) or of the direct beam; arrays (m,)."""
+
+    kind: ReferenceKind
+    when: When
+    polarization: str
+    theta_i_deg: float
+    theta_mes_deg: float
+    averages: int
+    unix_s: float
+    wavelength_nm: FloatArray
+    signal_v: FloatArray
+    signal_sd_v: FloatArray
+    time_s: FloatArray
+    quality: NDArray[np.uint16]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PositionRecord:
+    """One whole position; angles and wavelengths (m,) are read back from the devices."""
+
+    index: int
+    polarization: Polarization
+    theta_i_deg: float
+    theta_mes_deg: float
+    polarizer_deg: float
+    averages: int
+    unix_s: float
+    wavelength_nm: FloatArray
+    signal_v: FloatArray
+    signal_sd_v: FloatArray
+    time_s: FloatArray
+    quality: NDArray[np.uint16]
+
+
+@dataclass(frozen=True, slots=True)
+class EventRecord:
+    """Something that happened during the scan: a fault, an operator's action, an interruption."""
+
+    time_s: float
+    unix_s: float
+    level: Level
+    source: str
+    message: str
+
+
+Record = ScanHeader | ReferenceRecord | PositionRecord | EventRecord
