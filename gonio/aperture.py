@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gonio.angles import cos_deg
-from gonio.brdf.quadrature import across_integral, band_integral, gauss_legendre
+from gonio.brdf.quadrature import across_integral, band_integral, band_integral_table, gauss_legendre
 from gonio.errors import ConfigError
 
 FloatArray = NDArray[np.float64]
@@ -50,6 +50,10 @@ class Receiver(Protocol):
         """Return the received part of ``(alpha + 1)/(2 pi) cos_+(theta_s)^alpha``."""
         ...
 
+    def lobe_table(self, alpha: FloatArray, delta_deg: FloatArray, theta_o_deg: FloatArray) -> FloatArray:
+        """Return `lobe_integral` of every alpha with every position, (n_alpha, n_position)."""
+        ...
+
     def diffuse_integral(self, theta_o_deg: ArrayLike) -> FloatArray:
         """Return the received part of ``cos(theta)/pi``."""
         ...
@@ -75,7 +79,9 @@ class Aperture:
         for name in ("width_mm", "height_mm", "distance_mm"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
-                raise ConfigError(f"aperture: {name} = {value} must be a positive length; measure it and correct it")
+                raise ConfigError(
+                    f"aperture: {name} = {value} must be a positive length; measure it and correct it"
+                )
         widest = max(self.half_angles_deg)
         if widest > WIDEST_HALF_ANGLE_DEG:
             raise ConfigError(
@@ -127,12 +133,15 @@ class Aperture:
         smooth integral, done by 64 Gauss-Legendre nodes placed over the part that carries the value.
         """
         half_t = np.deg2rad(self.half_angles_deg[0])
-        ratio = self.height_mm / (2.0 * self.distance_mm)
+        return band_integral(alpha, delta_deg, half_t, theta_o_deg, self._across)
 
-        def across(a: FloatArray, t: FloatArray) -> FloatArray:
-            return across_integral(a, ratio * np.cos(t))
+    def lobe_table(self, alpha: FloatArray, delta_deg: FloatArray, theta_o_deg: FloatArray) -> FloatArray:
+        """Return `lobe_integral` of every alpha (n_alpha,) at every position (n,), as (n_alpha, n), to 1e-13."""
+        half_t = np.deg2rad(self.half_angles_deg[0])
+        return band_integral_table(alpha, delta_deg, half_t, theta_o_deg, self._across)
 
-        return band_integral(alpha, delta_deg, half_t, theta_o_deg, across)
+    def _across(self, alpha: FloatArray, t: FloatArray) -> FloatArray:
+        return across_integral(alpha, self.height_mm / (2.0 * self.distance_mm) * np.cos(t))
 
     def diffuse_integral(self, theta_o_deg: ArrayLike) -> FloatArray:
         """Return ∫ cos(theta)/pi dOmega over the part of the aperture above the sample plane.
@@ -194,11 +203,16 @@ class InPlaneAverage:
     ) -> FloatArray:
         """Return Eq 22's lobe term; arguments as `Aperture.lobe_integral`."""
         half = np.deg2rad(self.half_width_deg)
+        return band_integral(alpha, delta_deg, half, theta_o_deg, self._per_angle)
 
-        def per_angle(a: FloatArray, t: FloatArray) -> FloatArray:
-            return np.broadcast_to(self.solid_angle_sr / (2.0 * half) * (a + 1.0) / (2.0 * np.pi), t.shape)
+    def lobe_table(self, alpha: FloatArray, delta_deg: FloatArray, theta_o_deg: FloatArray) -> FloatArray:
+        """Return `lobe_integral` of every alpha (n_alpha,) at every position (n,), as (n_alpha, n)."""
+        half = np.deg2rad(self.half_width_deg)
+        return band_integral_table(alpha, delta_deg, half, theta_o_deg, self._per_angle)
 
-        return band_integral(alpha, delta_deg, half, theta_o_deg, per_angle)
+    def _per_angle(self, alpha: FloatArray, t: FloatArray) -> FloatArray:
+        per_radian = self.solid_angle_sr / (2.0 * np.deg2rad(self.half_width_deg))
+        return np.broadcast_to(per_radian * (alpha + 1.0) / (2.0 * np.pi), np.broadcast_shapes(alpha.shape, t.shape))
 
     def diffuse_integral(self, theta_o_deg: ArrayLike) -> FloatArray:
         """Return Eq 22's diffuse term, the in-plane mean of ``cos(theta)/pi`` above the sample plane."""
@@ -231,6 +245,10 @@ class PointReceiver:
         if theta_o_deg is not None:
             lobe = np.where(np.abs(np.asarray(theta_o_deg, np.float64)) < 90.0, lobe, 0.0)
         return np.asarray(self.solid_angle_sr * (a + 1.0) / (2.0 * np.pi) * lobe)
+
+    def lobe_table(self, alpha: FloatArray, delta_deg: FloatArray, theta_o_deg: FloatArray) -> FloatArray:
+        """Return `lobe_integral` of every alpha (n_alpha,) at every position (n,), as (n_alpha, n)."""
+        return self.lobe_integral(alpha[:, None], delta_deg, theta_o_deg)
 
     def diffuse_integral(self, theta_o_deg: ArrayLike) -> FloatArray:
         """Return Eq 18's diffuse term, ``cos(theta_o)/pi``, zero below the sample plane."""

@@ -12,6 +12,7 @@ so that R is exactly 0 at n2 = 1, keeps all digits of ``(n2 - 1)^2`` near it, va
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -22,6 +23,7 @@ from gonio.errors import GonioError
 
 FloatArray = NDArray[np.float64]
 Polarization = Literal["s", "p", "unpolarized"]
+RatioFunction = Callable[[ArrayLike, ArrayLike, Polarization], FloatArray]
 
 
 def reflectance(n2: ArrayLike, theta_i_deg: ArrayLike, polarization: Polarization) -> FloatArray:
@@ -67,7 +69,9 @@ def reflectance_ratio_dn2(n2: ArrayLike, theta_i_deg: ArrayLike, polarization: P
     with np.errstate(divide="ignore", invalid="ignore"):
         log_s = 2.0 / (n + 1.0) - 2.0 * n / (q * (c + q))
         below = n**2 * c + q
-        dp = 2.0 * (n + 1.0) * p + scale * (2.0 * n * (c / below) ** 2 - 2.0 * p * (2.0 * n * c + n / q) / below)
+        dp = 2.0 * (n + 1.0) * p + scale * (
+            2.0 * n * (c / below) ** 2 - 2.0 * p * (2.0 * n * c + n / q) / below
+        )
     return _mixed(2.0 * (scale * s) ** 2 * log_s, 2.0 * scale * p * dp, polarization)
 
 

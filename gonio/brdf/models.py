@@ -88,7 +88,10 @@ def lobe_above_horizon(alpha: ArrayLike, theta_i_deg: ArrayLike) -> FloatArray:
 def lobe_above_horizon_dlog_alpha(alpha: ArrayLike, theta_i_deg: ArrayLike) -> FloatArray:
     """Return the derivative of `lobe_above_horizon` with respect to log(alpha), by central differences (1e-9)."""
     a, step = np.asarray(alpha, np.float64), 1e-4
-    up, down = lobe_above_horizon(a * np.exp(step), theta_i_deg), lobe_above_horizon(a * np.exp(-step), theta_i_deg)
+    up, down = (
+        lobe_above_horizon(a * np.exp(step), theta_i_deg),
+        lobe_above_horizon(a * np.exp(-step), theta_i_deg),
+    )
     return np.asarray((up - down) / (2.0 * step))
 
 

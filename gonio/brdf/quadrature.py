@@ -130,3 +130,43 @@ def _band(
         scale[edge] = 0.5 * (s1 - s0) * 6.0 * s**5
     total = np.exp(log_lobe) * scale * across(alpha[:, None], u + delta[:, None])
     return np.asarray(total @ weights)
+
+
+def band_integral_table(
+    alpha: FloatArray,
+    delta_deg: FloatArray,
+    half_width_rad: float,
+    theta_o_deg: FloatArray,
+    across: Callable[[FloatArray, FloatArray], FloatArray],
+) -> FloatArray:
+    """Return `band_integral` of every alpha with every position, (n_alpha, n_position), to 1e-13 absolute.
+
+    Where neither the horizon nor the edge of cos_+ cuts the band, all positions share one grid in t: panels of at
+    most three lobe widths with 16 Gauss-Legendre nodes, and `across` is evaluated once per grid.  The few positions
+    that are cut go through `band_integral`.
+    """
+    half_deg = np.rad2deg(half_width_rad)
+    cut = (np.abs(delta_deg) + half_deg >= 90.0) | (np.abs(theta_o_deg) + half_deg >= 90.0)
+    # the lobe at the nearest edge of the band bounds the value; below exp(-60) it is left at zero
+    nearest = np.deg2rad(np.minimum(np.maximum(np.abs(delta_deg) - half_deg, 0.0), 90.0))
+    with np.errstate(divide="ignore"):
+        log_bound = alpha[:, None] * np.log1p(-2.0 * np.sin(0.5 * nearest) ** 2)
+    seen = log_bound > -60.0
+    table = np.zeros((alpha.size, delta_deg.size))
+    nodes, weights = gauss_legendre(16)
+    delta = np.deg2rad(delta_deg)
+    for row, a in enumerate(alpha):
+        at = np.flatnonzero(seen[row] & ~cut)
+        if not at.size:
+            continue
+        panels = int(np.ceil(2.0 * half_width_rad * np.sqrt(a + 1.0) / 3.0))
+        edges = np.linspace(-half_width_rad, half_width_rad, panels + 1)
+        middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * np.diff(edges)
+        t = (middle[:, None] + half[:, None] * nodes).ravel()
+        share = (half[:, None] * weights).ravel() * across(np.full((1, 1), a), t[None, :])[0]
+        table[row, at] = np.exp(a * np.log1p(-2.0 * np.sin(0.5 * (delta[at, None] - t)) ** 2)) @ share
+    rows, columns = np.nonzero(seen & cut)
+    table[rows, columns] = band_integral(
+        alpha[rows], delta_deg[columns], half_width_rad, theta_o_deg[columns], across
+    )
+    return table
