@@ -6,13 +6,16 @@ from pathlib import Path
 
 from gonio.acquire.journal import journal_path, read_header
 from gonio.acquire.runner import OnSnapshot, Runner
+from gonio.acquire.session import OnRecord
 from gonio.errors import StoreError
 from gonio.plan.model import parse_plan
 from gonio.rig import Rig, RigConfig, parse_rig
 from gonio.store.records import ScanHeader
 
 
-def resume_scan(path: str | Path, rig: Rig, *, on_snapshot: OnSnapshot | None = None) -> Runner:
+def resume_scan(
+    path: str | Path, rig: Rig, *, on_snapshot: OnSnapshot | None = None, on_record: OnRecord | None = None
+) -> Runner:
     """Return a runner that goes on with an interrupted scan, however it was interrupted; call its `run`.
 
     Raises
@@ -23,7 +26,7 @@ def resume_scan(path: str | Path, rig: Rig, *, on_snapshot: OnSnapshot | None = 
     path = Path(path)
     header = _interrupted(path)
     plan = parse_plan(header.plan_text, source=f"the plan in {journal_path(path).name}")
-    return Runner(rig, plan, path, on_snapshot=on_snapshot, continues=True)
+    return Runner(rig, plan, path, on_snapshot=on_snapshot, on_record=on_record, continues=True)
 
 
 def stored_rig(path: str | Path) -> RigConfig:

@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 
 import gonio
-from gonio.acquire.session import Session, facts_of, refuse_existing
+from gonio.acquire.session import OnRecord, Session, facts_of, refuse_existing
 from gonio.acquire.state import Snapshot, State
 from gonio.acquire.steps import Pace, PositionStep, ReferenceStep, Step, steps_of
 from gonio.aperture import Aperture
@@ -66,6 +66,9 @@ class Runner:
     on_snapshot
         Called in the thread of `run` at every change of state, after every position, and during a
         position at most 20 times a second.  It must be quick; an exception from it ends the scan.
+    on_record
+        Called in the thread of `run` with every position, reference and event once it is on the disk; when
+        a scan goes on, with those measured before first.  The same holds for its exceptions.
     """
 
     def __init__(
@@ -75,12 +78,14 @@ class Runner:
         path: str | Path,
         *,
         on_snapshot: OnSnapshot | None = None,
+        on_record: OnRecord | None = None,
         continues: bool = False,
     ) -> None:
         self.path = Path(path)
         self.plan = plan
         self._rig = rig
         self._on_snapshot = on_snapshot
+        self._on_record = on_record
         self._continues = continues
         self._state = State.IDLE
         self._active = False
@@ -226,7 +231,7 @@ class Runner:
         facts = facts_of(self._rig.config)
         clock = self._rig.clock
         if self._continues:
-            self._session, note = Session.resume(self.path, facts)
+            self._session, note = Session.resume(self.path, facts, self._on_record)
             away_s = max(time.time() - self._session.last_unix_s, 0.0)
             gap_s = away_s if clock.speed == 1.0 else 0.0
             self._offset_s = self._session.last_time_s + gap_s - clock.now_s()
@@ -245,7 +250,7 @@ class Runner:
                 unix_s=time.time(),
             )
             self._offset_s = -clock.now_s()
-            self._session = Session.begin(self.path, header, self.plan)
+            self._session = Session.begin(self.path, header, self.plan, self._on_record)
         self._continues = True  # should this run end early, the next one goes on from here
         left = [step for step in self._steps if step.key not in self._session.done]
         self._steps_done = len(self._steps) - len(left)

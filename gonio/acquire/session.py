@@ -7,7 +7,7 @@ the `.h5` anew from it beside the old one, puts it in the old one's place in one
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import h5py
@@ -29,6 +29,8 @@ from gonio.store.records import (
     ScanHeader,
 )
 
+OnRecord = Callable[[ReferenceRecord | PositionRecord | EventRecord], None]
+
 _BLOCK = 256  # positions written at a time when the file is made anew
 
 
@@ -43,7 +45,9 @@ class Session:
         Latest time on the scan's axis and on the computer's clock that a record bears.
     """
 
-    def __init__(self, path: Path, header: ScanHeader, journal: Journal, file: ScanFile) -> None:
+    def __init__(
+        self, path: Path, header: ScanHeader, journal: Journal, file: ScanFile, on_record: OnRecord | None
+    ) -> None:
         self.path = path
         self.header = header
         self.done: set[int | tuple[str, str, str]] = set()
@@ -51,21 +55,24 @@ class Session:
         self.last_unix_s = header.unix_s
         self._journal = journal
         self._file = file
+        self._on_record = on_record
 
     @classmethod
-    def begin(cls, path: Path, header: ScanHeader, plan: Plan) -> Session:
-        """Create both files; neither may exist."""
+    def begin(cls, path: Path, header: ScanHeader, plan: Plan, on_record: OnRecord | None = None) -> Session:
+        """Create both files, which must not exist; `on_record` is told of each record once it is safe."""
         refuse_existing(path)
         journal = Journal.create(journal_path(path), header)
         try:
-            return cls(path, header, journal, ScanFile(path, header, plan, "x"))
+            return cls(path, header, journal, ScanFile(path, header, plan, "x"), on_record)
         except BaseException:
             journal.remove()  # nothing was measured, and the name must stay free
             raise
 
     @classmethod
-    def resume(cls, path: Path, facts: RigFacts) -> tuple[Session, str]:
+    def resume(cls, path: Path, facts: RigFacts, on_record: OnRecord | None = None) -> tuple[Session, str]:
         """Make the `.h5` anew from the journal; return the session and a note on damage, if there was any.
+
+        `on_record` is told of the earlier records first, in their order.
 
         Raises
         ------
@@ -80,7 +87,7 @@ class Session:
         except BaseException:
             journal.close()
             raise
-        session = cls(path, header, journal, file)
+        session = cls(path, header, journal, file, on_record)
         for record in records:
             session._note(record)
         return session, "; ".join(text for text in (note, remark) if text)
@@ -105,6 +112,8 @@ class Session:
             latest_s = float(np.nanmax(record.time_s))
         self.last_time_s = max(self.last_time_s, latest_s)
         self.last_unix_s = max(self.last_unix_s, record.unix_s)
+        if self._on_record is not None and not isinstance(record, ScanHeader):
+            self._on_record(record)
 
     def finish(self, end_time: str) -> None:
         """Correct all positions with all references, close the file for good and remove the journal."""
