@@ -1,0 +1,215 @@
+"""The goniometer on two Applied Motion ST/STM/STF drives over Modbus: ``stage.driver = "applied-motion"``.
+
+Register addresses are 0-based; commands are opcodes written to one register.  Eight registers from 0x00 hold
+alarm, status, encoder and position, so one read is the state of one instant. Reference: Applied Motion
+Products, Host Command Reference, appendix on Modbus/RTU.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated
+
+from gonio.config import Count, Number, Positive
+from gonio.errors import DeviceError, MotionError
+from gonio.rig import Context, Driver, StageConfig
+from pydantic import Field
+
+from gonio_drivers.axis import DriveState, MotorAxis, MotorConfig, MotorStage
+from gonio_drivers.modbus import Framing, ModbusLine, WordOrder, open_modbus
+
+ALARM, STATUS, ENCODER, POSITION = 0x00, 0x01, 0x04, 0x06
+ACCELERATION, DECELERATION, VELOCITY, TARGET = 0x1B, 0x1C, 0x1D, 0x1E
+OPCODE, PARAMETER_1 = 0x7C, 0x7D
+
+MOVE_ABSOLUTE = 0x67  # FP
+STOP = 0xE1  # SK
+FIND_HOME = 0xDB  # FH
+SET_POSITION = 0xA5  # SP
+RESET_ALARM = 0xBA  # AX
+ENABLE = 0x9F  # ME
+
+ENABLED, FAULT, MOVING, JOGGING, STOPPING, ALARMED, HOMING = (1 << bit for bit in (0, 2, 4, 5, 6, 9, 10))
+
+ACCELERATION_UNITS_PER_RPS_S = 6.0
+VELOCITY_UNITS_PER_RPS = 240.0
+
+_ALARMS: Mapping[int, tuple[str, str]] = {
+    0: (
+        "position error: the motor stalled or was pushed",
+        "remove what blocks it, then home the axis and repeat",
+    ),
+    1: (
+        "it met the counter-clockwise limit switch",
+        "check limits_deg and zero_deg in the rig file, then home the axis",
+    ),
+    2: (
+        "it met the clockwise limit switch",
+        "check limits_deg and zero_deg in the rig file, then home the axis",
+    ),
+    3: ("the drive is too hot", "let it cool"),
+    12: ("it was told to move while the motor was disabled", "enable the motor and repeat"),
+}
+
+
+class AppliedMotionAxisConfig(MotorConfig):
+    """One drive."""
+
+    device: Annotated[int, Field(strict=True, ge=1, le=32)]  # Modbus unit
+    steps_per_deg: Number
+    zero_deg: Number = 0.0
+    steps_per_rev: Positive = 20000.0  # the drive's EG setting; speeds are revolutions of the motor
+    encoder_counts_per_rev: Positive | None = None  # with an encoder the read-back is where the shaft is
+
+
+class AppliedMotionStageConfig(StageConfig):
+    """``[stage]`` with ``driver = "applied-motion"``."""
+
+    framing: Framing = "rtu"
+    word_order: WordOrder = "big"  # big for PR=5, little for PR=133
+    baudrate: Count = 115200
+    home_on_connect: bool = True  # the drive cannot say whether it has a reference
+    theta_i: AppliedMotionAxisConfig
+    theta_mes: AppliedMotionAxisConfig
+
+
+class AppliedMotionDrive:
+    """One Modbus unit; a `gonio_drivers.axis.Drive`."""
+
+    start_latency_s = 0.1  # between the confirmation of the opcode and the first poll that says moving
+
+    def __init__(
+        self, line: ModbusLine, name: str, config: AppliedMotionAxisConfig, *, referenced: bool
+    ) -> None:
+        self._line = line
+        self._unit = config.device
+        self._counts_per_step = (
+            None
+            if config.encoder_counts_per_rev is None
+            else config.encoder_counts_per_rev / config.steps_per_rev
+        )
+        self.device = f"{name} (Applied Motion unit {config.device}) on the {line.line.device}"
+        self._referenced = referenced
+        revs_per_deg = abs(config.steps_per_deg) / config.steps_per_rev
+        acceleration = self._units(
+            "acceleration_deg_s2", config.acceleration_deg_s2 * revs_per_deg * ACCELERATION_UNITS_PER_RPS_S
+        )
+        velocity = self._units("speed_deg_s", config.speed_deg_s * revs_per_deg * VELOCITY_UNITS_PER_RPS)
+        wanted = [acceleration, acceleration, velocity]
+        line.write(self._unit, ACCELERATION, wanted)
+        got = line.read(self._unit, ACCELERATION, 3)
+        if got != wanted:
+            raise DeviceError(
+                self.device,
+                f"was told acceleration, deceleration, velocity = {wanted} and reads {got}",
+                "correct speed_deg_s and acceleration_deg_s2 in the rig file",
+            )
+
+    def describe(self) -> str:
+        """Return what is known of the drive, which has no register for its model."""
+        alarm, status = self._line.read(self._unit, ALARM, 2)
+        return f"Applied Motion Modbus unit {self._unit}, status 0x{status:04X}, alarm 0x{alarm:04X}"
+
+    def state(self) -> DriveState:
+        """Ask for alarm, status and position in one read."""
+        registers = self._line.read(self._unit, ALARM, 8)
+        alarm, status = registers[ALARM], registers[STATUS]
+        if self._counts_per_step is None:
+            position_steps = self._line.s32(registers[POSITION : POSITION + 2])
+        else:
+            position_steps = round(self._line.s32(registers[ENCODER : ENCODER + 2]) / self._counts_per_step)
+        moving = bool(status & (MOVING | JOGGING | STOPPING | HOMING))
+        fault, remedy = _fault(alarm, status)
+        return DriveState(position_steps, moving, self._referenced, fault, remedy)
+
+    def clear_faults(self) -> None:
+        """Reset the alarm and enable the motor; what persists comes back with the next poll."""
+        self._line.write_one(self._unit, OPCODE, RESET_ALARM)
+        self._line.write_one(self._unit, OPCODE, ENABLE)
+
+    def move_to(self, position_steps: int) -> None:
+        """Begin an absolute move."""
+        self._line.write(self._unit, TARGET, self._line.from_s32(position_steps))
+        self._line.write_one(self._unit, OPCODE, MOVE_ABSOLUTE)
+
+    def home(self) -> None:
+        """Begin the search for the home switch."""
+        self._referenced = False
+        self._line.write_one(self._unit, OPCODE, FIND_HOME)
+
+    def finish_home(self) -> None:
+        """Call the place of the home switch zero, which the search itself does not."""
+        self._line.write(self._unit, PARAMETER_1, [0, 0])
+        self._line.write_one(self._unit, OPCODE, SET_POSITION)
+        self._referenced = True
+
+    def stop(self) -> None:
+        """Decelerate and stop; sent again if the reply fails, a stop can be repeated without harm."""
+        self._line.line.query(lambda: self._line.write_one(self._unit, OPCODE, STOP))
+
+    def _units(self, key: str, value: float) -> int:
+        units = round(value)
+        if not 1 <= units <= 0xFFFF:
+            raise MotionError(
+                self.device,
+                f"{key} needs {units} in a register that holds 1...65535",
+                f"correct {key} or steps_per_rev in the rig file",
+            )
+        return units
+
+
+def _fault(alarm: int, status: int) -> tuple[str | None, str]:
+    """Return the alarm in words, and what to do."""
+    known = [words for bit, words in _ALARMS.items() if alarm & (1 << bit)]
+    unknown = [bit for bit in range(16) if alarm & (1 << bit) and bit not in _ALARMS]
+    if known or unknown:
+        texts = [text for text, _ in known] + [f"alarm bit {bit}" for bit in unknown]
+        remedy = known[0][1] if known else "look the bit up in the drive's manual"
+        return f"{' and '.join(texts)} (alarm 0x{alarm:04X})", remedy
+    if status & (FAULT | ALARMED):
+        return (
+            f"fault without an alarm bit (status 0x{status:04X})",
+            "read the drive's display, then switch it off and on",
+        )
+    if not status & ENABLED:
+        return f"the motor is disabled (status 0x{status:04X})", "enable it; check the drive's enable input"
+    return None, ""
+
+
+def open_stage(config: AppliedMotionStageConfig, context: Context) -> MotorStage:
+    """Connect, set speeds, enable the motors and find the references.
+
+    Raises
+    ------
+    ConnectionFailed
+        The address cannot be opened.
+    DeviceError
+        A drive does not answer, refuses its speed, or does not find its reference.
+    """
+    line = open_modbus(
+        "stage",
+        config.address,
+        context,
+        framing=config.framing,
+        word_order=config.word_order,
+        baudrate=config.baudrate,
+    )
+    try:
+        drives = {
+            name: AppliedMotionDrive(line, name, table, referenced=not config.home_on_connect)
+            for name, table in (("theta_i", config.theta_i), ("theta_mes", config.theta_mes))
+        }
+        stage = MotorStage(
+            MotorAxis("theta_i", config.theta_i, drives["theta_i"], context),
+            MotorAxis("theta_mes", config.theta_mes, drives["theta_mes"], context),
+            line=line,
+            descriptions={name: drive.describe() for name, drive in drives.items()},
+        )
+        stage.home_where_needed()
+    except BaseException:
+        line.close()
+        raise
+    return stage
+
+
+driver = Driver("stage", AppliedMotionStageConfig, open_stage)

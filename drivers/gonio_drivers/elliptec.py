@@ -1,0 +1,218 @@
+"""The polarizer in a Thorlabs Elliptec rotator (ELL14): ``polarizer.driver = "elliptec"``.
+
+Replies carry no number, only the address and the kind: ``PO`` a position, ``GS`` a status.  A move is
+answered when it has ended. Reference: Thorlabs, ELLx modules protocol manual.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from typing import Annotated
+
+from gonio.config import Count, Positive
+from gonio.devices import Polarization
+from gonio.errors import DeviceError, MotionError
+from gonio.rig import Context, Driver, PolarizerConfig
+from pydantic import Field
+
+from gonio_drivers.lines import Line, NoReply, open_line
+
+_MOVE_S = 5.0  # instrument seconds: a full turn with friction takes 2 to 3
+_REAL_MOVE_S = 2.0  # at least so much real time, whatever the simulated clock
+
+_STATUS: Mapping[int, tuple[str, str]] = {
+    1: ("communication time-out", "check the cable"),
+    2: ("mechanical time-out: it did not arrive", "check that it turns freely, then home it"),
+    3: ("command error or not supported", "check that the module is an ELL14"),
+    4: ("value out of range", "check s_deg and p_deg in the rig file"),
+    5: ("module isolated", "check the bus"),
+    6: ("module out of isolation", "check the bus"),
+    7: ("initialisation error", "switch it off and on"),
+    8: ("too hot", "let it cool"),
+    9: ("busy", "wait and repeat"),
+    10: ("sensor error", "switch it off and on, then home it"),
+    11: ("motor error", "run the motor's frequency search, then home it"),
+    12: ("out of range", "check s_deg and p_deg in the rig file, then home it"),
+    13: ("over-current", "switch it off and on"),
+}
+
+
+class ElliptecConfig(PolarizerConfig):
+    """``[polarizer]`` with ``driver = "elliptec"``."""
+
+    device: Annotated[str, Field(pattern="^[0-9A-F]$")] = "0"  # address on its bus
+    pulses_per_turn: Count = 143360
+    tolerance_deg: Positive = 0.1
+    home_on_connect: bool = True  # the module counts from wherever it was switched on
+    baudrate: Count = 9600
+
+
+class ElliptecRotator:
+    """The rotator; satisfies `gonio.devices.Polarizer`."""
+
+    name = "polarizer"
+    parent = None
+
+    def __init__(self, config: ElliptecConfig, context: Context, line: Line) -> None:
+        self._config = config
+        self._line = line
+        self._device = f"{line.device} (Elliptec module {config.device})"
+        # The reply to a move comes when it has ended, in the module's own time.
+        self._move_timeout_s = _REAL_MOVE_S + _MOVE_S / context.clock.speed
+        self._stop_asked = threading.Event()
+        self._description = self._identified()
+        if config.home_on_connect:
+            self._home()
+
+    def select(self, polarization: Polarization) -> float:
+        """Turn to S or P, verify, and return the read-back angle in degrees; no move if it stands there.
+
+        Raises
+        ------
+        MotionError
+            The module reported a fault, or stands elsewhere afterwards.
+        DeviceError
+            The module does not answer.
+        """
+        self._stop_asked.clear()
+        target_deg = self._config.s_deg if polarization == "s" else self._config.p_deg
+        here_deg = self.position_deg()
+        if self._is_at(here_deg, target_deg):
+            return here_deg
+        pulses = round(target_deg * self._config.pulses_per_turn / 360.0)
+        self._move(f"ma{pulses & 0xFFFFFFFF:08X}")
+        here_deg = self.position_deg()
+        if self._stop_asked.is_set():
+            raise MotionError(
+                self._device, f"was stopped on request at {here_deg:.2f} deg", "select again to go on"
+            )
+        if not self._is_at(here_deg, target_deg):
+            raise MotionError(
+                self._device,
+                f"stands at {here_deg:.2f} deg instead of {target_deg:g} +- {self._config.tolerance_deg:g} deg "
+                f"({polarization.upper()})",
+                "check that it turns freely, then repeat",
+            )
+        return here_deg
+
+    def position_deg(self) -> float:
+        """Return the position read back from the module, degrees."""
+        return self._degrees(self._line.query(lambda: self._exchange("gp", "PO")))
+
+    def identify(self) -> str:
+        """Return type, serial number and firmware."""
+        return self._description
+
+    def stop(self) -> None:
+        """Let a `select` in progress end with an error; any thread, any time.
+
+        The module has no command that interrupts an absolute move; the turn ends by itself within seconds and
+        touches nothing.
+        """
+        self._stop_asked.set()
+
+    def close(self) -> None:
+        """Release the line."""
+        self._line.close()
+
+    def _is_at(self, here_deg: float, target_deg: float) -> bool:
+        return abs(here_deg - target_deg) <= self._config.tolerance_deg
+
+    def _degrees(self, digits: str) -> float:
+        pulses = int(digits, 16)
+        if pulses >= 0x80000000:  # two's complement, 32 bits
+            pulses -= 0x100000000
+        return pulses * 360.0 / self._config.pulses_per_turn
+
+    def _home(self) -> None:
+        self._move("ho0")  # 0: clockwise
+        here_deg = self.position_deg()
+        if not self._is_at(here_deg, 0.0):
+            raise MotionError(
+                self._device, f"is at {here_deg:.2f} deg after homing", "check that it turns freely"
+            )
+
+    def _move(self, command: str) -> None:
+        """Send a move once and wait for its end; where it ended is for the read-back to say."""
+        try:
+            self._exchange(command, "PO", self._move_timeout_s)
+        except NoReply:
+            return  # the reply may be lost though the move was made; the read-back tells
+
+    def _identified(self) -> str:
+        digits = self._line.query(lambda: self._exchange("in", "IN"))
+        # type (2), serial number (8), year (4), firmware (2), hardware (2), travel (4), pulses per unit (8)
+        if len(digits) != 30:
+            raise DeviceError(
+                self._device, f"identified itself as '{digits}'", "check that the module is an ELL14"
+            )
+        pulses = int(digits[22:30], 16)
+        if pulses != self._config.pulses_per_turn:
+            raise DeviceError(
+                self._device,
+                f"counts {pulses} pulses per turn, the rig file says {self._config.pulses_per_turn}",
+                "correct pulses_per_turn in the rig file",
+            )
+        return f"Thorlabs ELL{int(digits[:2], 16)}, serial {digits[2:10]}, firmware {digits[14:16]}"
+
+    def _exchange(self, command: str, kind: str, timeout_s: float | None = None) -> str:
+        """Send one command and return the hexadecimal digits of its reply."""
+        with self._line.transaction(self._prove):
+            return self._ask(command, kind, timeout_s)
+
+    def _ask(self, command: str, kind: str, timeout_s: float | None = None) -> str:
+        line = self._line
+        # A command has no terminator: its letters say how long it is.
+        line.send(f"{self._config.device}{command}".encode("ascii"))
+        deadline_s = line.deadline_s(timeout_s)
+        while True:
+            raw = line.read_until(b"\n", deadline_s).rstrip(b"\r")
+            text = raw.decode("latin-1")
+            prefix, digits = text[:3], text[3:]
+            if prefix not in (f"{self._config.device}{kind}", f"{self._config.device}GS") or not _is_hex(
+                digits
+            ):
+                raise line.damaged(raw, f"not an answer to '{self._config.device}{command}'")
+            if prefix[1:] == kind:
+                if kind == "PO" and len(digits) != 8:
+                    raise line.damaged(raw, "a position has 8 digits")
+                line.answered()
+                return digits
+            status = int(digits, 16)
+            if status == 9 and timeout_s is not None:
+                continue  # busy: the move goes on, its own reply follows
+            line.answered()
+            fault, remedy = _STATUS.get(status, (f"unknown status {status}", "see the module's manual"))
+            if status == 0:
+                fault, remedy = f"answered '{text}' instead of a position", "repeat"
+            raise MotionError(self._device, f"{fault} (status {status})", remedy)
+
+    def _prove(self) -> None:
+        """A status cannot be mistaken for the late reply to a move or a position query."""
+        self._ask("gs", "GS")
+
+
+def _is_hex(digits: str) -> bool:
+    return bool(digits) and all(digit in "0123456789ABCDEF" for digit in digits)
+
+
+def open_polarizer(config: ElliptecConfig, context: Context) -> ElliptecRotator:
+    """Connect, identify and home the rotator.
+
+    Raises
+    ------
+    ConnectionFailed
+        The address cannot be opened.
+    DeviceError
+        The module does not answer, is another one, or does not turn.
+    """
+    line = open_line("polarizer", config.address, context, baudrate=config.baudrate)
+    try:
+        return ElliptecRotator(config, context, line)
+    except BaseException:
+        line.close()
+        raise
+
+
+driver = Driver("polarizer", ElliptecConfig, open_polarizer)

@@ -1,0 +1,207 @@
+"""Holding registers over Modbus RTU (serial, or RTU frames over TCP) and Modbus TCP; every pymodbus call is
+here.
+
+pymodbus builds and parses the frames; the bytes travel over our own `Line`, so that deadlines, log, lock and
+the treatment of late replies are those of every other device.  pymodbus' own clients poll with sleeps and, on
+RTU, take a reply that is 50 ms late for the answer to the next request: RTU has no transaction number.  Here
+
+* nothing is repeated inside pymodbus (``retries=0``): a repeated write could start a motion twice;
+* a reply must have the function, address and length of its request;
+* after a timeout or a damaged reply the line is read until quiet and a canary is read: a number of registers
+that no
+  other request asks for, so that only its own reply can have its length.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+from typing import Literal
+
+from gonio.errors import DeviceError
+from gonio.rig import Context
+from pymodbus.client.base import ModbusBaseSyncClient
+from pymodbus.exceptions import ConnectionException, ModbusException, ModbusIOException
+from pymodbus.framer import FramerType
+from pymodbus.pdu import ExceptionResponse, ModbusPDU
+from pymodbus.transport import CommParams, CommType
+
+from gonio_drivers.lines import Line, open_line
+
+Framing = Literal["rtu", "tcp"]
+WordOrder = Literal["big", "little"]
+
+CANARY_REGISTER = 0x00
+CANARY_COUNT = 7  # asked by nothing else, see the module's docstring
+
+_EXCEPTIONS = {
+    1: ("does not know this function", "check the model and firmware of the drive"),
+    2: ("does not have this register", "check the model and firmware of the drive"),
+    3: ("refused the value", "check speeds and scale factors in the rig file"),
+    4: ("failed to execute the command", "read the drive's alarm and reset it"),
+    6: ("is busy", "wait and repeat"),
+}
+
+# pymodbus logs every timeout as an error, which would land on the terminal beside our own message
+logging.getLogger("pymodbus.logging").addHandler(logging.NullHandler())
+
+
+class _LineClient(ModbusBaseSyncClient):
+    """A pymodbus client whose transport is a `Line`."""
+
+    def __init__(self, line: Line, framing: Framing) -> None:
+        framer = FramerType.RTU if framing == "rtu" else FramerType.SOCKET
+        # Called a serial line even over TCP: pymodbus would close a socket that it does not own after some
+        # timeouts.
+        parameters = CommParams(
+            comm_type=CommType.SERIAL, host=line.address, timeout_connect=line.reply_timeout_s
+        )
+        super().__init__(framer, 0, parameters, None, None, None)
+        self._line = line
+
+    def connect(self) -> bool:
+        return True
+
+    def send(self, request: bytes, addr: tuple[str, int] | None = None) -> int:
+        self._line.send(request)
+        return len(request)
+
+    def recv(self, size: int | None) -> bytes:
+        left_s = self._line.deadline_s() - time.monotonic()
+        return self._line.receive(left_s) if left_s > 0 else b""
+
+    def close(self) -> None:
+        self._line.close()
+
+
+class ModbusLine:
+    """Registers of the units on one line."""
+
+    def __init__(
+        self, line: Line, framing: Framing, word_order: WordOrder, *, frame_gap_s: float = 0.0
+    ) -> None:
+        self.line = line
+        self._client = _LineClient(line, framing)
+        self._word_order = word_order
+        self._frame_gap_s = frame_gap_s
+        self._last_s = 0.0
+
+    def read(self, unit: int, address: int, count: int) -> list[int]:
+        """Return `count` holding registers (function 3), each 0...65535; repeated once if the reply fails.
+
+        Raises
+        ------
+        ReplyError
+            No reply or a damaged one, twice.
+        DeviceError
+            The unit answered with a Modbus exception.
+        """
+        if count == CANARY_COUNT:
+            raise ValueError(f"{CANARY_COUNT} registers is the length kept for the canary")
+        return self.line.query(lambda: self._read(unit, address, count))
+
+    def _read(self, unit: int, address: int, count: int) -> list[int]:
+        with self.line.transaction(lambda: self._prove(unit)):
+            return self._read_now(unit, address, count)
+
+    def _read_now(self, unit: int, address: int, count: int) -> list[int]:
+        reply = self._asked(lambda: self._client.read_holding_registers(address, count=count, device_id=unit))
+        if reply.function_code != 3 or len(reply.registers) != count:
+            raise self.line.damaged(
+                _shown(reply), f"not the {count} registers asked of unit {unit} at 0x{address:02X}"
+            )
+        self.line.answered()
+        return list(reply.registers)
+
+    def write(self, unit: int, address: int, values: Sequence[int]) -> None:
+        """Write several registers (function 16), once.
+
+        Raises
+        ------
+        ReplyError
+            The confirmation is missing or damaged: the unit may or may not have taken the values.
+        DeviceError
+            The unit answered with a Modbus exception.
+        """
+        with self.line.transaction(lambda: self._prove(unit)):
+            reply = self._asked(lambda: self._client.write_registers(address, list(values), device_id=unit))
+            if (reply.function_code, reply.address, reply.count) != (16, address, len(values)):
+                raise self.line.damaged(_shown(reply), f"not the confirmation of a write to 0x{address:02X}")
+            self.line.answered()
+
+    def write_one(self, unit: int, address: int, value: int) -> None:
+        """Write one register (function 6), once; raises as `write`."""
+        with self.line.transaction(lambda: self._prove(unit)):
+            reply = self._asked(lambda: self._client.write_register(address, value, device_id=unit))
+            if (reply.function_code, reply.address, reply.registers) != (6, address, [value]):
+                raise self.line.damaged(_shown(reply), f"not the confirmation of a write to 0x{address:02X}")
+            self.line.answered()
+
+    def s32(self, registers: Sequence[int]) -> int:
+        """Return two registers as a signed 32-bit number."""
+        kind = self._client.DATATYPE.INT32
+        value = self._client.convert_from_registers(list(registers), kind, word_order=self._word_order)
+        assert isinstance(value, int)
+        return value
+
+    def from_s32(self, value: int) -> list[int]:
+        """Return a signed 32-bit number as two registers."""
+        return self._client.convert_to_registers(
+            value, self._client.DATATYPE.INT32, word_order=self._word_order
+        )
+
+    def close(self) -> None:
+        """Release the line."""
+        self.line.close()
+
+    def _asked(self, ask: Callable[[], ModbusPDU]) -> ModbusPDU:
+        if self._frame_gap_s:  # RTU frames are told apart by 3.5 characters of silence
+            time.sleep(max(0.0, self._last_s + self._frame_gap_s - time.monotonic()))
+        try:
+            reply = ask()
+        except ConnectionException as error:
+            raise self.line.damaged(b"", str(error)) from None
+        except ModbusIOException as error:
+            if "No response" in str(error):
+                raise self.line.timed_out(self.line.reply_timeout_s) from None
+            raise self.line.damaged(b"", str(error)) from None
+        except ModbusException as error:
+            raise self.line.damaged(b"", str(error)) from None
+        finally:
+            self._last_s = time.monotonic()
+        if isinstance(reply, ExceptionResponse):
+            self.line.answered()
+            fault, remedy = _EXCEPTIONS.get(
+                reply.exception_code, ("answered with an unknown Modbus exception", "see its manual")
+            )
+            raise DeviceError(
+                f"{self.line.device} unit {reply.dev_id}",
+                f"{fault} (Modbus exception {reply.exception_code})",
+                remedy,
+            )
+        return reply
+
+    def _prove(self, unit: int) -> None:
+        self._read_now(unit, CANARY_REGISTER, CANARY_COUNT)
+
+
+def _shown(reply: ModbusPDU) -> bytes:
+    return str(reply).encode("ascii", "replace")
+
+
+def open_modbus(
+    role: str, address: str, context: Context, *, framing: Framing, word_order: WordOrder, baudrate: int
+) -> ModbusLine:
+    """Open an address for Modbus.
+
+    Raises
+    ------
+    ConnectionFailed
+        The address cannot be opened.
+    """
+    line = open_line(role, address, context, baudrate=baudrate, reply_timeout_s=1.0)
+    serial_rtu = framing == "rtu" and "://" not in address
+    # Modbus over Serial Line V1.02, 2.5.1.1: 3.5 characters of 11 bits, fixed at 1.75 ms above 19200 baud
+    gap_s = (3.5 * 11.0 / baudrate if baudrate <= 19200 else 1.75e-3) if serial_rtu else 0.0
+    return ModbusLine(line, framing, word_order, frame_gap_s=gap_s)

@@ -1,0 +1,240 @@
+"""The detector's amplifier: Stanford Research SR830 lock-in.
+
+Replies carry nothing of the question, so after a failed reply the identity is asked: no other answer looks
+like it. Several statements go on one line; each question among them gets an answer of its own.
+
+The signal is X, the component in phase with the chopper, and not R = sqrt(X2 + Y2): the magnitude of noise is
+never zero, so R of a weak signal is too large (for X = 0 it reads 1.25 standard deviations of the noise).  X
+needs the right phase; see `SR830Config.phase_deg`.
+Reference: Stanford Research Systems, SR830 manual, chapter 5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Self
+
+from gonio.config import Count, Number, Positive, Strict
+from gonio.errors import DeviceError
+from gonio.rig import SIMULATED, Context
+from pydantic import model_validator
+
+from gonio_drivers.lines import Line, open_line
+
+FULL_SCALE_V = tuple(
+    mantissa * 10.0**decade
+    for decade in range(-9, 1)
+    for mantissa in (1.0, 2.0, 5.0)
+    if 2e-9 <= mantissa * 10.0**decade <= 1.0
+)
+"""Full scale of ``SENS i``, volts: 2 nV, 5 nV, 10 nV, ... 1 V."""
+
+TIME_CONSTANT_S = tuple(mantissa * 10.0**decade for decade in range(-5, 5) for mantissa in (1.0, 3.0))
+"""Time constant of ``OFLT i``, seconds: 10 us, 30 us, ... 30 ks."""
+
+SLOPES_DB_OCT = (6, 12, 18, 24)
+"""Slope of ``OFSL i``; each 6 dB/octave is one more low-pass of the same time constant."""
+
+SPACING_TIME_CONSTANTS = {6: 3.0, 12: 4.8, 18: 6.3, 24: 7.7}
+"""Distance of readings that are nearly independent: the noise behind the filter is then correlated by at most
+5 %.
+
+White noise behind n equal low-passes has the correlation exp(-x) p_n(x) at x time constants, with p_1 = 1,
+p_2 = 1 + x, p_3 = 1 + x + x2/3, p_4 = 1 + x + 2 x2/5 + x3/15.
+"""
+
+INPUT_OVERLOAD, FILTER_OVERLOAD, OUTPUT_OVERLOAD = 1, 2, 4  # bits of LIAS?
+
+
+class SR830Config(Strict):
+    """``[spectrometer.lockin]`` with ``driver = "sr830"``."""
+
+    driver: Literal["sr830"]
+    address: str = SIMULATED
+    time_constant_s: Positive = 0.1
+    settle_time_constants: Positive = 5.0  # waited before each reading
+    slope_db_oct: Literal[6, 12, 18, 24] = 6
+    phase_deg: Number | None = None
+    """Reference phase.  Not given, it stays as set on the instrument: turn it once with AUTO PHASE on the
+    direct beam. It is the same for all readings of a scan, so that it cancels in sample over baseline."""
+    smallest_range_v: Positive = 1e-3
+    """Least full scale that is chosen; its resolution, 1/32768, lies well below the detector's noise."""
+    baudrate: Count = 9600
+
+    @model_validator(mode="after")
+    def _exists(self) -> Self:
+        if _index(TIME_CONSTANT_S, self.time_constant_s) is None:
+            near = min(TIME_CONSTANT_S, key=lambda t: abs(t - self.time_constant_s))
+            raise ValueError(
+                f"lockin.time_constant_s = {self.time_constant_s:g} s: the instrument has 1 and 3 times powers of "
+                f"ten; the nearest is {near:g}"
+            )
+        if self.smallest_range_v > FULL_SCALE_V[-1]:
+            raise ValueError(
+                f"lockin.smallest_range_v = {self.smallest_range_v:g} V is above the largest range, 1 V"
+            )
+        return self
+
+    def settle_s(self) -> float:
+        """Return the time waited before a reading that differs little from the one before, seconds."""
+        return self.settle_time_constants * self.time_constant_s
+
+    def jump_settle_s(self) -> float:
+        """Return the time waited after the signal may have changed by orders of magnitude, seconds.
+
+        What is left of the old signal falls by another factor of 1000 (ln 1000 = 6.9) compared with
+        `settle_s`; for steeper slopes the tail is a polynomial longer, so the same number is added for each
+        further low-pass.
+        """
+        extra = 7.0 + 2.0 * SLOPES_DB_OCT.index(self.slope_db_oct)
+        return (self.settle_time_constants + extra) * self.time_constant_s
+
+    def spacing_s(self) -> float:
+        """Return the time between readings that are averaged, seconds."""
+        return SPACING_TIME_CONSTANTS[self.slope_db_oct] * self.time_constant_s
+
+
+def _index(table: tuple[float, ...], value: float) -> int | None:
+    return next((i for i, entry in enumerate(table) if abs(entry - value) <= 1e-6 * entry), None)
+
+
+@dataclass(frozen=True, slots=True)
+class LockinReading:
+    """One look at the outputs, volts."""
+
+    x_v: float
+    y_v: float
+    overload: bool
+
+
+class SR830:
+    """The lock-in on its line."""
+
+    def __init__(self, config: SR830Config, context: Context, line: Line) -> None:
+        self._config = config
+        self._line = line
+        with line.transaction():
+            line.send(b"OUTX 0\r")  # replies to RS-232; the statement itself has none
+        self._description = self._identified()
+        time_constant = _index(TIME_CONSTANT_S, config.time_constant_s)
+        assert time_constant is not None
+        self._set("OFLT", time_constant)
+        self._set("OFSL", SLOPES_DB_OCT.index(config.slope_db_oct))
+        if config.phase_deg is not None:
+            self._set_phase(config.phase_deg)
+        self._range = int(self._one_number("SENS?"))
+
+    @property
+    def line(self) -> Line:
+        """The line, for its statistics."""
+        return self._line
+
+    @property
+    def range_index(self) -> int:
+        """Index of the range in use, into `FULL_SCALE_V`."""
+        return self._range
+
+    def identify(self) -> str:
+        """Return what the instrument says of itself."""
+        return self._description
+
+    def set_range(self, index: int) -> bool:
+        """Select a range and verify it, in one exchange; return whether it is a change."""
+        if index == self._range:
+            return False
+        self._set("SENS", index)
+        self._range = index
+        return True
+
+    def read(self) -> LockinReading:
+        """Return X and Y at one instant, and whether anything overloaded since the last look; one exchange."""
+        outputs, status = self._line.query(lambda: self._exchange("SNAP? 1,2;LIAS?", 2))
+        x_v, y_v = self._numbers(outputs, 2)
+        (bits,) = self._numbers(status, 1)
+        overload = bool(int(bits) & (INPUT_OVERLOAD | FILTER_OVERLOAD | OUTPUT_OVERLOAD))
+        return LockinReading(x_v, y_v, overload)
+
+    def close(self) -> None:
+        """Release the line."""
+        self._line.close()
+
+    def _identified(self) -> str:
+        (answer,) = self._line.query(lambda: self._exchange("*IDN?", 1))
+        if not _is_sr830(answer):
+            raise DeviceError(
+                self._line.device,
+                f"identified itself as '{answer}', not as an SR830",
+                "check the address of the lock-in in the rig file",
+            )
+        return answer
+
+    def _set(self, what: str, value: int) -> None:
+        got = self._one_number(f"{what} {value};{what}?")
+        if got != value:
+            raise DeviceError(
+                self._line.device,
+                f"was told {what} {value} and reads {got:g}",
+                "leave its front panel alone, check SYNC and reserve, and repeat",
+            )
+
+    def _set_phase(self, phase_deg: float) -> None:
+        got_deg = self._one_number(f"PHAS {phase_deg:.2f};PHAS?")
+        if abs((got_deg - phase_deg + 180.0) % 360.0 - 180.0) > 0.02:
+            raise DeviceError(
+                self._line.device,
+                f"was told phase = {phase_deg:g} deg and reads {got_deg:g} deg",
+                "give lockin.phase_deg between -180 and 180 deg",
+            )
+
+    def _one_number(self, statements: str) -> float:
+        (answer,) = self._line.query(lambda: self._exchange(statements, 1))
+        (number,) = self._numbers(answer, 1)
+        return number
+
+    def _numbers(self, answer: str, count: int) -> list[float]:
+        try:
+            numbers = [float(field) for field in answer.split(",")]
+        except ValueError:
+            numbers = []
+        if len(numbers) != count:
+            raise self._line.damaged(answer.encode("latin-1", "replace"), f"not {count} numbers")
+        return numbers
+
+    def _exchange(self, statements: str, answers: int) -> list[str]:
+        with self._line.transaction(self._prove):
+            return self._ask(statements, answers)
+
+    def _ask(self, statements: str, answers: int) -> list[str]:
+        line = self._line
+        line.send(statements.encode("ascii") + b"\r")
+        deadline_s = line.deadline_s()
+        got = [line.read_until(b"\r", deadline_s).strip().decode("latin-1") for _ in range(answers)]
+        line.answered()
+        return got
+
+    def _prove(self) -> None:
+        (answer,) = self._ask("*IDN?", 1)
+        if not _is_sr830(answer):
+            raise self._line.damaged(answer.encode("latin-1"), "not its identity")
+
+
+def _is_sr830(answer: str) -> bool:
+    return answer.startswith("Stanford_Research_Systems,SR830")
+
+
+def open_sr830(config: SR830Config, context: Context) -> SR830:
+    """Connect to the lock-in and set time constant, slope and phase.
+
+    Raises
+    ------
+    ConnectionFailed
+        The address cannot be opened.
+    DeviceError
+        The instrument does not answer, is another one, or does not take a setting.
+    """
+    line = open_line("lockin", config.address, context, baudrate=config.baudrate)
+    try:
+        return SR830(config, context, line)
+    except BaseException:
+        line.close()
+        raise

@@ -1,0 +1,178 @@
+"""How do bytes get to an address and back: a serial port through pyserial, or a TCP socket of our own.
+
+An address is ``/dev/ttyUSB0``, ``COM3``, ``socket://host:port`` (a serial server, a Modbus gateway, the
+simulated bench) or anything else that `serial.serial_for_url` understands, such as ``rfc2217://host:port``.
+
+``socket://`` does not go through pyserial: its `in_waiting` is only 0 or 1, which makes every reply a read
+per byte, and its `close` sleeps 0.3 s (see `docs/decisions/raw-socket.md`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import time
+from typing import Protocol
+from urllib.parse import urlsplit
+
+import serial
+from gonio.errors import ConnectionFailed
+from gonio.rig import SIMULATED
+
+CONNECT_TIMEOUT_S = 5.0
+WRITE_TIMEOUT_S = 2.0
+_SERIAL_SLICE_S = 0.05  # pyserial's own timeout: setting it per read would reconfigure the port each time
+
+
+class Port(Protocol):
+    """A stream of bytes; every method raises `OSError` when the other end is gone."""
+
+    def write(self, data: bytes) -> None:
+        """Send all of `data`."""
+        ...
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what arrives first, at least one byte, or ``b""`` after `timeout_s` real seconds."""
+        ...
+
+    def close(self) -> None:
+        """Release the line; never raises."""
+        ...
+
+
+class SocketPort:
+    """A TCP connection; one system call per reply instead of one per byte."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._socket = socket.create_connection((host, port), timeout=CONNECT_TIMEOUT_S)
+        # A command is one small packet: waiting for more of them (Nagle) would cost up to 40 ms each.
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket.settimeout(WRITE_TIMEOUT_S)
+
+    def write(self, data: bytes) -> None:
+        """Send all of `data`."""
+        self._socket.sendall(data)
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what arrives first, or ``b""`` after `timeout_s`."""
+        readable, _, _ = select.select([self._socket], [], [], max(timeout_s, 0.0))
+        if not readable:
+            return b""
+        data = self._socket.recv(4096)
+        if not data:
+            raise ConnectionResetError("the other end closed the connection")
+        return data
+
+    def close(self) -> None:
+        """Release the connection."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+
+
+class SerialPort:
+    """A serial port, opened exclusively; 8 data bits, no parity, 1 stop bit, as every device here wants."""
+
+    def __init__(self, address: str, baudrate: int) -> None:
+        self._serial = serial.serial_for_url(
+            address,
+            baudrate=baudrate,
+            bytesize=serial.EIGHTBITS,
+            parity=serial.PARITY_NONE,
+            stopbits=serial.STOPBITS_ONE,
+            timeout=_SERIAL_SLICE_S,
+            write_timeout=WRITE_TIMEOUT_S,
+            exclusive=True,  # two programs on one port would read each other's replies
+        )
+
+    def write(self, data: bytes) -> None:
+        """Send all of `data`."""
+        self._serial.write(data)
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what arrives first, or ``b""`` after `timeout_s` (rounded up to the port's 50 ms slices)."""
+        if timeout_s <= 0:
+            return self._serial.read(self._serial.in_waiting or 0)
+        end_s = time.monotonic() + timeout_s
+        while True:
+            first = self._serial.read(1)
+            if first:
+                waiting = self._serial.in_waiting
+                return first + self._serial.read(waiting) if waiting else first
+            if time.monotonic() >= end_s:
+                return b""
+
+    def close(self) -> None:
+        """Release the port."""
+        with contextlib.suppress(OSError):
+            self._serial.close()
+
+
+def open_port(role: str, address: str, *, baudrate: int) -> Port:
+    """Open an address.
+
+    Parameters
+    ----------
+    role
+        What the device is to the user (``stage``, ``lockin``); named in messages.
+    address
+        Device path, COM port or URL.
+    baudrate
+        Bits per second of a serial port; a socket has none.
+
+    Raises
+    ------
+    ConnectionFailed
+        The address is malformed, does not exist, is in use, or refuses.
+    """
+    device = f"{role} at {address}"
+    if address == SIMULATED:
+        raise ConnectionFailed(
+            device,
+            "the simulated bench has not been started for this rig",
+            "start it with `gonio simulate` and write the addresses it prints into the rig file",
+        )
+    try:
+        if address.startswith("socket://"):
+            host, port = _host_and_port(address)
+            return SocketPort(host, port)
+        return SerialPort(address, baudrate)
+    except ValueError as error:
+        raise ConnectionFailed(
+            device,
+            f"the address is malformed ({error})",
+            "write it as /dev/ttyUSB0, COM3 or socket://host:port",
+        ) from None
+    except OSError as error:
+        raise ConnectionFailed(device, _reason(error), _remedy(address, error)) from None
+
+
+def _host_and_port(address: str) -> tuple[str, int]:
+    parts = urlsplit(address)
+    if parts.hostname is None or parts.port is None:
+        raise ValueError("host or port is missing")
+    return parts.hostname, parts.port
+
+
+def _reason(error: OSError) -> str:
+    if isinstance(error, TimeoutError):
+        return f"nobody answered within {CONNECT_TIMEOUT_S:g} s"
+    if isinstance(error, ConnectionRefusedError):
+        return "the connection was refused"
+    if isinstance(error, socket.gaierror):
+        return "the host name is unknown"
+    return f"cannot be opened ({error.strerror or error})"
+
+
+def _remedy(address: str, error: OSError) -> str:
+    if "://" in address:
+        return (
+            "check that the device or server is switched on and that host and port in the rig file are right"
+        )
+    text = str(error).lower()
+    if "permission" in text:
+        return "give this user access to the port (on Linux: the group 'dialout') or choose another address"
+    if "lock" in text or "busy" in text or "denied" in text:
+        return "close the other program that uses the port"
+    return "check the cable, the power and the address in the rig file"
