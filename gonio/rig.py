@@ -303,7 +303,8 @@ def with_addresses(config: RigConfig, addresses: Mapping[str, str]) -> RigConfig
 
     `text` is left as the user wrote it: the port of a simulator is of no use in a stored file.
     """
-    tables = config.model_dump()
+    # each with its own model: dumped from the rig they would lose what the driver's model adds
+    tables = {role: getattr(config, role).model_dump() for role in ("stage", "polarizer", "spectrometer")}
 
     def replace(table: dict[str, Any], role: str) -> None:
         for key, value in table.items():
@@ -401,4 +402,5 @@ def open_rig(config: RigConfig, *, wire_log: Path | None = None) -> Rig:
         for device in reversed(opened):
             device.close()
         raise
-    return Rig(config, *opened, clock=context.clock)
+    stage, polarizer, spectrometer = opened
+    return Rig(config, stage, polarizer, spectrometer, clock=context.clock)
