@@ -1,13 +1,14 @@
 """`gonio simulate`: start the simulated bench, print its addresses, and serve until told to stop.
 
-Prints one line ``ROLE PROTOCOL ADDRESS`` per port, then ``ready``.  Exit codes: 0 when told to stop, 1 with a message,
-2 for bad usage.
+Prints one line ``ROLE PROTOCOL ADDRESS`` per port, then ``ready``.  Exit codes: 0 when told to stop, 1 with
+a message, 2 for bad usage.
 """
 
 from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
 import gc
 import os
 import signal
@@ -19,6 +20,7 @@ from typing import Any
 from gonio.config import parse_toml, read_toml
 from gonio.errors import ConfigError, GonioError
 from gonio.rig import default_rig_text
+
 from gonio_simulators.bench.bench import Bench
 from gonio_simulators.bench.config import BenchConfig
 from gonio_simulators.wire.lines import PtyPort, new_event_loop
@@ -146,15 +148,11 @@ def _stop_on_signals(loop: asyncio.AbstractEventLoop, stop: asyncio.Event) -> No
 def _wait_for_end_of_input(loop: asyncio.AbstractEventLoop, stop: asyncio.Event) -> None:
     """Read standard input to its end.
 
-    A thread, because files, pipes and consoles cannot all be watched by one loop; `os.read`, because a buffered
-    reader that still waits at exit would hold a lock that the interpreter needs.
+    A thread, because files, pipes and consoles cannot all be watched by one loop; `os.read`, because a
+    buffered reader that still waits at exit would hold a lock that the interpreter needs.
     """
-    try:
+    with contextlib.suppress(OSError):  # no standard input at all is an end, too
         while os.read(0, 4096):
-            pass
-    except OSError:
-        pass  # no standard input at all is an end, too
-    try:
+            continue
+    with contextlib.suppress(RuntimeError):  # the loop has ended before
         loop.call_soon_threadsafe(stop.set)
-    except RuntimeError:
-        pass  # the loop has ended before

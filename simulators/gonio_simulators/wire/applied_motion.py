@@ -1,8 +1,9 @@
 """Two Applied Motion ST/STM/STF drives as Modbus slaves: registers, opcodes, alarm and status bits.
 
-Register addresses count from 0; a 32-bit value takes two registers in the word order of the drive's parameter PR
-(5: big endian, 133: little endian).  Speeds are revolutions per second of the motor times 240, accelerations
-revolutions per second squared times 6.  Several drives share the line; an unknown unit id is met with silence.
+Register addresses count from 0; a 32-bit value takes two registers in the word order of the drive's
+parameter PR (5: big endian, 133: little endian).  Speeds are revolutions per second of the motor times 240,
+accelerations revolutions per second squared times 6.  Several drives share the line; an unknown unit id is
+met with silence.
 """
 
 from __future__ import annotations
@@ -113,7 +114,7 @@ class Drive:
         except ModbusError as error:
             return bytes([function | 0x80, error.code])
 
-    # -- the four functions ---------------------------------------------------------------------------------------
+    # -- the four functions -------------------------------------------------------------------------------
 
     def _read(self, pdu: bytes) -> bytes:
         if len(pdu) != 5:
@@ -161,7 +162,7 @@ class Drive:
         if start <= OPCODE < end:
             self._opcodes[self._registers[OPCODE]]()
 
-    # -- opcodes --------------------------------------------------------------------------------------------------
+    # -- opcodes ------------------------------------------------------------------------------------------
 
     def _feed_length(self) -> None:
         self._go(self.motor.position_steps() + self._s32(DISTANCE))
@@ -216,12 +217,12 @@ class Drive:
         self._offset = self.motor.position_steps() - position
 
     def _keep_counting(self) -> None:
-        """Let the counter run on over a homing: these drives find the switch but do not call it zero (SP does)."""
-        if self.motor.referenced and self._origin:
+        """Let the counter run on over a homing: these drives do not call the switch zero, SP does."""
+        if self._origin and not self.motor.is_moving() and self.motor.referenced:
             self._offset += self._origin
             self._origin = 0
 
-    # -- registers ------------------------------------------------------------------------------------------------
+    # -- registers ----------------------------------------------------------------------------------------
 
     def _take_over_profile(self) -> None:
         acceleration = min(self._registers[ACCELERATION], self._registers[DECELERATION])

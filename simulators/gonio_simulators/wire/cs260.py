@@ -1,8 +1,9 @@
 """An Oriel Cornerstone 260 monochromator on RS-232: statements, echo, status byte, and the order of things.
 
-Every received character is echoed as it comes, terminators included.  A statement ends with LF (CRLF also does).
-Statements are carried out one after another: a query behind a movement is answered when the movement is over, and with
-``HANDSHAKE 1`` the status byte follows each statement at its completion.  ``ABORT`` is the exception: it acts at once.
+Every received character is echoed as it comes, terminators included.  A statement ends with LF (CRLF also
+does).  Statements are carried out one after another: a query behind a movement is answered when the movement
+is over, and with ``HANDSHAKE 1`` the status byte follows each statement at its completion.  ``ABORT`` is
+the exception: it acts at once.
 
 After the instrument's manual, appendix "Low level commands and queries".
 """
@@ -107,7 +108,7 @@ class Cornerstone260:
         """Return the status byte as the handshake; reporting clears it."""
         return f"{self._take_status()}\r\n".encode("ascii")
 
-    # -- queries --------------------------------------------------------------------------------------------------
+    # -- queries ------------------------------------------------------------------------------------------
 
     def _query(self, name: str) -> str:
         query = self._queries.get(name)
@@ -138,7 +139,7 @@ class Cornerstone260:
     def _format_wavelength(self, wavelength_nm: float) -> str:
         return f"{wavelength_nm * _UNITS[self._unit]:.{3 if self._unit == 'NM' else 6}f}"
 
-    # -- commands -------------------------------------------------------------------------------------------------
+    # -- commands -----------------------------------------------------------------------------------------
 
     def _command(self, name: str, parameter: str) -> None:
         command = self._commands.get(name)
@@ -181,7 +182,7 @@ class Cornerstone260:
             raise StatementError(NOT_ALLOWED) from None
 
     def _calibrate(self, parameter: str) -> None:
-        """Accept only the wavelength where the drive is: the bench's drive is true and has nothing to correct."""
+        """Accept only where the drive is: it is true on the bench and has nothing to correct."""
         wavelength_nm = _number(parameter) / _UNITS[self._unit]
         if abs(wavelength_nm - self.monochromator.wavelength_nm) > self._step_nm():
             raise StatementError(BAD_PARAMETER)

@@ -1,8 +1,8 @@
 """A Thorlabs Elliptec ELL14 rotation mount on its multi-drop bus.
 
-A command is an address digit, two lower-case letters and upper-case hexadecimal data of a length that the letters
-determine; it has no terminator.  Replies end with CRLF.  A movement is answered when it is over; until then other
-commands get the status *busy*.
+A command is an address digit, two lower-case letters and upper-case hexadecimal data of a length that the
+letters determine; it has no terminator.  Replies end with CRLF.  A movement is answered when it is over;
+until then other commands get the status *busy*.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ _MOVES = frozenset(("ho", "ma", "mr", "fw", "bw"))
 
 OK, MECHANICAL_TIMEOUT, NOT_SUPPORTED, BAD_VALUE, BUSY, OUT_OF_RANGE = 0x00, 0x02, 0x03, 0x04, 0x09, 0x0C
 
-# Type 0E (ELL14), serial number, year, firmware 1.7, metric thread and hardware issue, travel 0x168 = 360 deg, pulses.
-_INFORMATION = f"0E114000512022170101 68{PULSES_PER_REVOLUTION:08X}".replace(" ", "")
+# Type 0E (ELL14), serial number, year, firmware, thread and hardware issue, travel 0x168 = 360 deg, pulses
+_INFORMATION = f"0E{11400051}{2022}17010168{PULSES_PER_REVOLUTION:08X}"
 _MOTOR = {"i1": "I110054CFFFFFFFF00930086", "i2": "I210054CFFFFFFFF00930086"}
 
 
@@ -175,7 +175,7 @@ class ElliptecConversation:
         return self._device.arrived()
 
     def _next_command(self) -> tuple[str, str, str] | None:
-        """Take a complete command from the buffer; line ends between commands, which some clients send, are skipped."""
+        """Take a complete command from the buffer, skipping the line ends that some clients send."""
         self._buffer = self._buffer.lstrip("\r\n \0")
         if len(self._buffer) < 3:
             return None

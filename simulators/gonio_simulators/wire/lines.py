@@ -1,8 +1,9 @@
 """How an instrument's bytes reach a client: TCP ports and pseudo-terminals on one asyncio loop.
 
-An `Instrument` is the state that outlives clients; a `Conversation` is what one client has begun to say and is still
-owed.  Every accepted TCP connection starts a new conversation, so that nobody inherits half a command.  Between the
-two sits an optional `Filter`, which may hold back, damage, split or repeat bytes in either direction.
+An `Instrument` is the state that outlives clients; a `Conversation` is what one client has begun to say and
+is still owed.  Every accepted TCP connection starts a new conversation, so that nobody inherits half a
+command.  Between the two sits an optional `Filter`, which may hold back, damage, split or repeat bytes in
+either direction.
 """
 
 from __future__ import annotations
@@ -60,8 +61,9 @@ class Filter(Protocol):
 def new_event_loop() -> asyncio.AbstractEventLoop:
     """Return a loop whose timers are finer than a millisecond.
 
-    A bench second may last a microsecond-scale real time.  `epoll` and `poll` count timeouts in whole milliseconds,
-    which would add half a minute to a scan; `select` takes microseconds and also works on Windows and on macOS ptys.
+    A bench second may last a microsecond-scale real time.  `epoll` and `poll` count timeouts in whole
+    milliseconds, which would add half a minute to a scan; `select` takes microseconds and also works on
+    Windows and on macOS ptys.
     """
     return asyncio.SelectorEventLoop(selectors.SelectSelector())
 
@@ -146,8 +148,8 @@ class _TcpClient(asyncio.Protocol):
 class TcpPort:
     """A listening port of one instrument on the loopback interface.
 
-    A terminal server lets one client talk at a time.  A second connection replaces the first: the first is usually a
-    client that died without saying so.
+    A terminal server lets one client talk at a time.  A second connection replaces the first: the first is
+    usually a client that died without saying so.
     """
 
     def __init__(self, instrument: Instrument, *, port: int = 0, filter_: Filter | None = None) -> None:
@@ -171,8 +173,8 @@ class TcpPort:
         except OSError as error:
             reason = "it is already taken" if error.errno == errno.EADDRINUSE else str(error)
             raise ConfigError(
-                f"port {self._wanted_port} on {HOST} cannot be served: {reason}; end the program that uses it, or write "
-                'address = "simulated" for any free port'
+                f"port {self._wanted_port} on {HOST} cannot be served: {reason}; end the program that uses "
+                'it, or write address = "simulated" for any free port'
             ) from None
 
     def close(self) -> None:

@@ -1,6 +1,7 @@
-"""How a Modbus request is found in a stream and a reply is framed: RTU with CRC16, and TCP with its MBAP header.
+"""How a Modbus request is found in a stream and a reply is framed: RTU with CRC16, TCP with MBAP.
 
-Written from the Modbus application protocol and serial line specifications, without the library that the drivers use.
+Written from the Modbus application protocol and serial line specifications, without the library that the
+drivers use.
 """
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ import time
 SILENCE_S = 0.02
 """Real seconds without a byte after which the beginning of an RTU frame is forgotten.
 
-The serial rule is 3.5 characters (4 ms at 9600 baud); on TCP the pauses inside a frame are the network's, so this is
-wider."""
+The serial rule is 3.5 characters (4 ms at 9600 baud); on TCP the pauses inside a frame are the network's,
+so this is wider.
+"""
 
 _MAX_RTU_BYTES = 256
 _MAX_MBAP_LENGTH = 254  # unit id and protocol data unit
@@ -59,7 +61,7 @@ class RtuReceiver:
         self._last_s = 0.0
 
     def feed(self, data: bytes) -> list[tuple[int, bytes]]:
-        """Return the complete requests as (unit id, protocol data unit); a damaged frame is dropped in silence."""
+        """Return the complete requests as (unit id, protocol data unit); damaged ones are dropped."""
         now_s = time.monotonic()
         if now_s - self._last_s > SILENCE_S:
             self._buffer = b""

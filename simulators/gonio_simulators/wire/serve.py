@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 from urllib.parse import urlsplit
 
-from pydantic import BaseModel, ConfigDict, Field
-
 from gonio.config import Positive, validate
 from gonio.errors import ConfigError
+from pydantic import BaseModel, ConfigDict, Field
+
 from gonio_simulators.bench.bench import Bench
 from gonio_simulators.wire.applied_motion import AppliedMotionLine, Framing, WordOrder
 from gonio_simulators.wire.cs260 import Cornerstone260
@@ -123,8 +123,8 @@ def plan_ports(bench: Bench, tables: Mapping[str, Any], *, with_pty: bool, sourc
 def wanted_port(address: str, *, source: str) -> int:
     """Return the port that an address of the rig file asks for, 0 for any free one.
 
-    Only a TCP address of this machine can be served; a serial port or another machine stands for the real instrument,
-    whose simulator gets a free port.
+    Only a TCP address of this machine can be served; a serial port or another machine stands for the real
+    instrument, whose simulator gets a free port.
     """
     if "://" not in address:
         return 0

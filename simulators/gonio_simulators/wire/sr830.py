@@ -1,11 +1,11 @@
 """A Stanford Research SR830 lock-in amplifier on RS-232: commands, ranges, status registers, number formats.
 
-A command is four letters (or ``*`` and three), an optional ``?`` and parameters separated by commas; spaces are
-ignored.  Several commands stand on a line between semicolons, a line ends with CR or LF, and every answer ends with CR,
-as the instrument sends it on RS-232.
+A command is four letters (or ``*`` and three), an optional ``?`` and parameters separated by commas; spaces
+are ignored.  Several commands stand on a line between semicolons, a line ends with CR or LF, and every
+answer ends with CR, as the instrument sends it on RS-232.
 
-What the bench does not have (line filters, currents, steeper filter slopes, the data buffer) is set and read back but
-changes nothing, or is an illegal command (the buffer).
+What the bench does not have (line filters, currents, steeper filter slopes, the data buffer) is set and
+read back but changes nothing, or is an illegal command (the buffer).
 """
 
 from __future__ import annotations
@@ -181,7 +181,7 @@ class Sr830:
             self._apply(name, self._values[name])
         self._lockin.phase_deg = 0.0
 
-    # -- outputs --------------------------------------------------------------------------------------------------
+    # -- outputs ------------------------------------------------------------------------------------------
 
     def _xy(self) -> tuple[float, float]:
         if self._reading is None:
@@ -224,7 +224,7 @@ class Sr830:
             return self._reference_hz()
         raise OutOfRange
 
-    # -- status ---------------------------------------------------------------------------------------------------
+    # -- status -------------------------------------------------------------------------------------------
 
     def _lia_status(self, is_query: bool, parameters: list[str]) -> str:
         if not is_query:
@@ -286,7 +286,7 @@ class Sr830:
         self._values["OUTX"] = interface  # the choice of interface survives a reset
         return ""
 
-    # -- reference, automatics, displays --------------------------------------------------------------------------
+    # -- reference, automatics, displays ------------------------------------------------------------------
 
     def _phase(self, is_query: bool, parameters: list[str]) -> str:
         if is_query:
@@ -324,7 +324,7 @@ class Sr830:
         return ""
 
     def _auto_gain(self, is_query: bool, parameters: list[str]) -> str:
-        """Take the most sensitive range that holds the present magnitude; nothing with time constants above 1 s."""
+        """Take the most sensitive range that holds the magnitude; nothing with time constants above 1 s."""
         if is_query or parameters:
             raise Illegal
         if self._values["OFLT"] > 10:

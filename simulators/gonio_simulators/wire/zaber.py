@@ -1,7 +1,7 @@
 """A chain of two Zaber X-RST rotary stages with firmware 7: which command moves what, and what is answered.
 
-Distances are microsteps.  Speeds on the wire are microsteps per second times 1.6384, accelerations microsteps per
-second squared times 1.6384 / 10000 (Zaber's units of firmware 7).
+Distances are microsteps.  Speeds on the wire are microsteps per second times 1.6384, accelerations
+microsteps per second squared times 1.6384 / 10000 (Zaber's units of firmware 7).
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ RESOLUTION = 64  # microsteps per full step
 STEPS_PER_REVOLUTION = 1_536_000  # 360 deg of an X-RST at the default resolution
 MAX_SPEED = RESOLUTION * 16384  # firmware's ceiling of maxspeed
 MAX_ACCELERATION = 32767
+DEVICE_ID = 50952  # stands for an X-RST; the vendor's table of ids is online only and could not be consulted
 PACKET_SIZE = 80  # longest command line, terminator included
 _ALERT_POLL_S = 1e-3  # real seconds between looks at a moving axis that must announce its end
 
@@ -41,9 +42,7 @@ class _Setting:
 class RotaryStage:
     """One device with one axis."""
 
-    def __init__(
-        self, address: int, motor: Motor, *, serial: int, limits_deg: tuple[float, float]
-    ) -> None:
+    def __init__(self, address: int, motor: Motor, *, serial: int, limits_deg: tuple[float, float]) -> None:
         self.address = address
         self.motor = motor
         self.announces = False  # comm.alert
@@ -51,6 +50,7 @@ class RotaryStage:
         self._serial = serial
         self._offset = 0  # `set pos` renames where the counter stands
         self._interrupted = False
+        self._had_reference = False  # before the homing that runs: the old one holds until the new one is there
         self._was_moving = False
         low, high = _travel_steps(motor, limits_deg)
         self._limit_min = min(0, low)
@@ -70,7 +70,8 @@ class RotaryStage:
         }
 
     def answer(self, request: Request) -> bytes:
-        """Carry out a command that is addressed to this device and return the reply."""
+        """Carry out a command that is addressed to this device and return the reply, after any due alert."""
+        announced = self.alert() if self.announces else b""
         accepted = True
         try:
             data = self._run(request)
@@ -78,7 +79,7 @@ class RotaryStage:
             accepted, data = False, str(rejection)
         busy = self.motor.is_moving()
         self._was_moving = busy
-        return format_reply(
+        return announced + format_reply(
             self.address,
             request.axis,
             request.message_id,
@@ -102,7 +103,7 @@ class RotaryStage:
         """Say whether an alert may become due without a further command."""
         return self.announces and self._was_moving
 
-    # -- commands -------------------------------------------------------------------------------------------------
+    # -- commands -----------------------------------------------------------------------------------------
 
     def _run(self, request: Request) -> str:
         if request.axis > 1:
@@ -143,6 +144,7 @@ class RotaryStage:
         if words:
             raise Rejected("BADCOMMAND")
         self._begin_movement()
+        self._had_reference = self.motor.referenced
         self._offset = 0
         self.motor.home()
         return "0"
@@ -218,7 +220,7 @@ class RotaryStage:
         self.announces = self._always_checksum = False
         return "0"
 
-    # -- flags ----------------------------------------------------------------------------------------------------
+    # -- flags --------------------------------------------------------------------------------------------
 
     def _flags(self) -> list[str]:
         """Warning flags, the gravest first (the manual's order of precedence)."""
@@ -228,19 +230,23 @@ class RotaryStage:
             flags.append("FS")
         elif fault is not Fault.NONE:
             flags.append("FE")
-        if not self.motor.referenced:
+        if not self._has_reference():
             flags.append("WR")
         if self._interrupted:
             flags.append("NI")
         return flags
 
+    def _has_reference(self) -> bool:
+        return self.motor.referenced or (self._had_reference and self.motor.is_homing())
+
     def _top_flag(self) -> str:
         motor = self.motor
         if motor.fault is Fault.NONE and motor.referenced and not self._interrupted:
             return "--"
-        return self._flags()[0]
+        flags = self._flags()
+        return flags[0] if flags else "--"
 
-    # -- settings -------------------------------------------------------------------------------------------------
+    # -- settings -----------------------------------------------------------------------------------------
 
     def _position(self) -> int:
         return self.motor.position_steps() - self._offset
@@ -288,8 +294,8 @@ class RotaryStage:
             "resolution": _Setting(lambda: RESOLUTION),
         }
         device = {
-            "deviceid": lambda: 50952,
-            "device.id": lambda: 50952,
+            "deviceid": lambda: DEVICE_ID,
+            "device.id": lambda: DEVICE_ID,
             "system.serial": lambda: self._serial,
             "version": lambda: "7.35",
             "version.build": lambda: 16151,
