@@ -1,0 +1,41 @@
+"""Irradiance on facades: street scenes of measured materials, sun and sky, by Monte Carlo with standard errors.
+
+>>> from gonio import facade
+>>> scene = facade.load_scene("street.toml")              # doctest: +SKIP
+>>> irradiance = facade.simulate(scene, rel_tol=0.01)     # doctest: +SKIP
+>>> print(irradiance.table())                             # doctest: +SKIP
+>>> irradiance["left"].contributions["specular"].value    # doctest: +SKIP
+"""
+
+from gonio.facade.geometry import Surface, box, street
+from gonio.facade.optics import EnergyWarning, Optics
+from gonio.facade.result import (
+    CONTRIBUTIONS,
+    EnergyBalance,
+    Estimate,
+    Irradiance,
+    Receiver,
+    load_irradiance,
+)
+from gonio.facade.scene import Scene, load_scene, parse_scene
+from gonio.facade.simulate import simulate
+from gonio.facade.sun import Sun
+
+__all__ = [
+    "CONTRIBUTIONS",
+    "EnergyBalance",
+    "EnergyWarning",
+    "Estimate",
+    "Irradiance",
+    "Optics",
+    "Receiver",
+    "Scene",
+    "Sun",
+    "Surface",
+    "box",
+    "load_irradiance",
+    "load_scene",
+    "parse_scene",
+    "simulate",
+    "street",
+]

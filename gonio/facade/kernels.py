@@ -1,0 +1,53 @@
+"""The two compiled entry points, and their cache on disk.
+
+Numba's cache notices a change of the file an entry point is in, but not of the other files it calls.  Its key
+does hold what the entry point closes over, so both close over a digest of the sources they are compiled from.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+from numba import njit
+
+from gonio.facade import backward as _backward
+from gonio.facade import forward as _forward
+from gonio.facade import sampling as _sampling
+from gonio.facade import tracing as _tracing
+
+_paths = _backward.backward_paths
+_photons = _forward.forward_photons
+
+
+def _digest() -> int:
+    total = hashlib.sha256()
+    for module in (_sampling, _tracing, _backward, _forward):
+        if module.__file__ is not None and Path(module.__file__).is_file():
+            total.update(Path(module.__file__).read_bytes())
+    return int.from_bytes(total.digest()[:7], "big")
+
+
+def _entry_points(digest: int) -> tuple[Any, Any]:
+    @njit(cache=True, nogil=True, error_model="numpy")
+    def backward(g, light, owner, cell, directions, seed, replicas, window, lobe, out):  # type: ignore[no-untyped-def]
+        if digest < 0:
+            return 0
+        return _paths(g, light, owner, cell, directions, seed, replicas, window, lobe, out)
+
+    @njit(cache=True, nogil=True, error_model="numpy")
+    def forward(g, light, chance, directions, seed, stream, from_sky, window, tally, energy):  # type: ignore[no-untyped-def]
+        if digest < 0:
+            return 0
+        return _photons(g, light, chance, directions, seed, stream, from_sky, window, tally, energy)
+
+    return backward, forward
+
+
+backward, forward = _entry_points(_digest())
+
+
+def compiled_already() -> bool:
+    """Say whether both kernels have been compiled or loaded in this process."""
+    return bool(backward.signatures and forward.signatures)

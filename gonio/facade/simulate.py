@@ -1,0 +1,368 @@
+"""How are rays spent until the error is small enough?
+
+Three estimators add up, each in 32 independent randomisations (replicas) of its points:
+
+- backward paths from every patch: direct sun, direct sky, and all light reflected only diffusely;
+- photons from the sun, and photons from the sky, that meet at least one lobe, tallied where they arrive.
+
+Standard errors come from the scatter of the replicas, which holds for correlated (Sobol) points as well.  A round
+doubles the points of the estimator that promises most variance less per ray, until the root mean square over the
+patches of standard error over value is below the tolerance.  The choice depends on counts, never on clocks or
+threads: a seed gives the same bits on one thread or many.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+import warnings
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.errors import ConfigError, SceneError
+from gonio.facade import geometry, layout
+from gonio.facade.layout import Light, Surfaces
+from gonio.facade.optics import EnergyWarning, excess_text
+from gonio.facade.result import CONTRIBUTIONS, EnergyBalance, Estimate, Irradiance, Receiver
+from gonio.facade.scene import Scene
+from gonio.facade.sobol import sobol_directions
+
+FloatArray = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+"""Called as ``progress(fraction done, text)``, from the calling thread."""
+
+REPLICAS = 32
+MAX_RAYS = 2_000_000_000
+
+_BATCH = 1 << 21  # paths between two looks at Ctrl-C and two reports of progress
+_SUN_STREAM, _SKY_STREAM = 1 << 40, (1 << 40) + 1  # beyond every patch number, which are the backward streams
+
+
+def simulate(
+    scene: Scene,
+    *,
+    rel_tol: float = 0.01,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: Progress | None = None,
+    estimator: Literal["split", "backward"] = "split",
+    max_rays: int = MAX_RAYS,
+) -> Irradiance:
+    """Return the irradiance of every receiver patch with its standard error, by contribution.
+
+    Parameters
+    ----------
+    scene
+        From `load_scene`, or built from Python objects.
+    rel_tol
+        Wanted root mean square over the patches of standard error over value, 1e-5...0.5.
+    seed
+        The same seed gives the same bits, whatever `threads`.
+    threads
+        Default: the processors this process may use.
+    progress
+        Called with the fraction done and a text; the first call of a program compiles the kernels (about ten
+        seconds, kept on disk) and says so.
+    estimator
+        ``"split"``, or ``"backward"`` for everything by backward paths: an independent check for broad lobes, slow
+        and with heavy tails for narrow ones.
+    max_rays
+        Stop here at the latest; the result then says that it has not converged.
+
+    Raises
+    ------
+    ConfigError
+        An option outside its range.
+    SceneError
+        ``estimator="backward"`` with ``horizon="renormalize"``, whose normalisation it does not know.
+    """
+    if not 1e-5 <= rel_tol <= 0.5:
+        raise ConfigError(
+            f"rel_tol = {rel_tol:g} is outside 1e-5...0.5; give a relative standard error such as 0.01"
+        )
+    if not 0 <= seed < 2**63:
+        raise ConfigError(f"seed = {seed} is outside 0...2^63 - 1; choose another")
+    if threads is not None and threads < 1:
+        raise ConfigError(f"threads = {threads} is not a number of threads; give 1 or more, or leave it out")
+    if estimator == "backward" and scene.horizon == "renormalize":
+        raise SceneError(
+            'estimator = "backward" cannot renormalize the lobe; use horizon = "absorb" or "split"'
+        )
+    notes = list(scene.notes)
+    if scene.energy == "published":
+        for name, optics in scene.materials.items():
+            sentence = excess_text(name, optics, scene.energy)
+            if sentence is not None:
+                warnings.warn(sentence, EnergyWarning, stacklevel=2)
+                if sentence not in notes:
+                    notes.append(sentence)
+    started_s = time.monotonic()
+    run = _Run(scene, seed, threads or available_threads(), progress, whole=estimator == "backward")
+    reached = run.until(rel_tol, max_rays)
+    if reached > rel_tol:
+        notes.append(
+            f"stopped after {run.rays:.3g} rays at a relative standard error of {reached:.2g}, above the {rel_tol:g} asked; "
+            "allow more rays or a larger rel_tol"
+        )
+    lost = run.lost_w_m2()
+    if lost > 0.0:
+        notes.append(
+            f"paths of more than 10 000 reflections were given up; they carried at most {lost:.2g} W/m2"
+        )
+    return Irradiance(
+        receivers=run.receivers(),
+        energy=run.energy(),
+        title=scene.title,
+        scene_text=scene.text,
+        seed=seed,
+        rel_tol=rel_tol,
+        relative_error=reached,
+        converged=reached <= rel_tol,
+        rays=run.rays,
+        duration_s=time.monotonic() - started_s,
+        notes=tuple(notes),
+    )
+
+
+def available_threads() -> int:
+    """Return the number of processors this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return max(1, len(os.sched_getaffinity(0)))
+    return os.cpu_count() or 1
+
+
+@dataclass
+class _Part:
+    """One estimator: the sums so far and what they cost; `per_replica` is W/m2, (patches, replicas, kinds)."""
+
+    points: int
+    sums: FloatArray
+    done: int = 0
+    rays: int = 0
+    energy: FloatArray = field(default_factory=lambda: np.zeros((REPLICAS, 6)))
+
+
+class _Run:
+    def __init__(
+        self, scene: Scene, seed: int, threads: int, progress: Progress | None, *, whole: bool
+    ) -> None:
+        self.scene = scene
+        self.seed = np.uint64(seed)
+        self.threads = threads
+        self.progress: Progress = progress or (lambda _done, _text: None)
+        self.whole = whole
+        self.g, order = geometry.pack(scene.surfaces, scene.materials, periodic=scene.infinite)
+        self.light = Light(
+            sun=np.array(scene.sun.direction),
+            disc=2.0 * np.sin(np.radians(scene.sun.angular_diameter_deg) / 4.0) ** 2,
+            dni=scene.direct_w_m2,
+            dhi=float(scene.dhi_w_m2),
+            conserving=scene.energy == "conserving",
+            renormalize=scene.horizon == "renormalize",
+            periodic=scene.infinite,
+        )
+        self.directions = sobol_directions()
+        self.owner, self.cell = _patches(scene, order)
+        self.area_m2 = np.concatenate(
+            [np.full(s.rows * s.columns, s.area_m2 / (s.rows * s.columns)) for s in scene.receivers]
+        )
+        count = len(self.owner)
+        self.back = _Part(16, np.zeros((count * REPLICAS, 5)))
+        self.sun_chance = _chances(self.g, self.light, from_sky=False)
+        self.sky_chance = _chances(self.g, self.light, from_sky=True)
+        glossy = bool(np.any(self.g.material[:, 1] > 0.0)) and not whole
+        self.sun = _Part(512, np.zeros((REPLICAS, count))) if glossy and self.sun_chance is not None else None
+        self.sky = _Part(512, np.zeros((REPLICAS, count))) if glossy and self.sky_chance is not None else None
+
+    # -- spending rays
+
+    def until(self, rel_tol: float, max_rays: int) -> float:
+        """Add points until the tolerance or the limit is reached; return the relative error."""
+        from gonio.facade import kernels
+
+        with ThreadPoolExecutor(self.threads) as pool:
+            if not kernels.compiled_already():
+                self.progress(0.0, "preparing the engine (compiled on the first use, then kept)")
+                self._warm_up(kernels)
+            for part in self._parts():
+                self._add(pool, kernels, part)
+            while True:
+                relative = self._relative_variances()
+                reached = float(np.sqrt(sum(relative)))
+                self.progress(
+                    min(1.0, (rel_tol / reached) ** 2 if reached > 0 else 1.0), f"{self.rays:.2g} rays"
+                )
+                if reached <= rel_tol or self.rays >= max_rays:
+                    return reached
+                gains = [v / p.rays if p.rays else 0.0 for v, p in zip(relative, self._parts(), strict=True)]
+                part = self._parts()[int(np.argmax(gains))]
+                part.points *= 2
+                self._add(pool, kernels, part)
+
+    def _warm_up(self, kernels: Any) -> None:
+        """Compile in this thread, with empty windows: numba's compiler is locked, the others would only wait."""
+        self._backward(kernels, (0, 0, 0, 0))
+        self._forward(kernels, _Part(0, np.zeros((REPLICAS, 1))), np.ones(1), _SUN_STREAM, (0, 0, 0, 0))
+
+    def _add(self, pool: ThreadPoolExecutor, kernels: Any, part: _Part) -> None:
+        """Bring `part` from `done` to `points`, in batches short enough for Ctrl-C."""
+        units = len(part.sums)
+        step = max(1, _BATCH // units)
+        size = max(1, units // (8 * self.threads))
+        for first in range(part.done, part.points, step):
+            last = min(first + step, part.points)
+            windows = [(u, min(u + size, units), first, last) for u in range(0, units, size)]
+            part.rays += sum(pool.map(lambda window: self._kernel(kernels, part, window), windows))
+        part.done = part.points
+
+    def _kernel(self, kernels: Any, part: _Part, window: tuple[int, int, int, int]) -> int:
+        if part is self.back:
+            return self._backward(kernels, window)
+        if part is self.sun:
+            return self._forward(kernels, part, self.sun_chance, _SUN_STREAM, window)
+        return self._forward(kernels, part, self.sky_chance, _SKY_STREAM, window)
+
+    def _backward(self, kernels: Any, window: tuple[int, int, int, int]) -> int:
+        return int(
+            kernels.backward(
+                self.g, self.light, self.owner, self.cell, self.directions, self.seed, REPLICAS, window, self.whole,
+                self.back.sums,
+            )
+        )  # fmt: skip
+
+    def _forward(
+        self, kernels: Any, part: _Part, chance: Any, stream: int, window: tuple[int, int, int, int]
+    ) -> int:
+        return int(
+            kernels.forward(
+                self.g, self.light, chance, self.directions, self.seed, stream, stream == _SKY_STREAM, window,
+                part.sums, part.energy,
+            )
+        )  # fmt: skip
+
+    # -- reading the sums
+
+    def _parts(self) -> list[_Part]:
+        return [p for p in (self.back, self.sun, self.sky) if p is not None]
+
+    @property
+    def rays(self) -> int:
+        return sum(p.rays for p in self._parts())
+
+    def _replicas(self) -> dict[str, FloatArray]:
+        """Return each contribution per replica, (patches, replicas), W/m2."""
+        sums = self.back.sums.reshape(len(self.owner), REPLICAS, 5) / self.back.done
+        parts = dict(zip(CONTRIBUTIONS, np.moveaxis(sums, 2, 0), strict=False))
+        specular = parts["specular"]
+        for part in (self.sun, self.sky):
+            if part is not None:
+                specular = specular + self._tallied(part)
+        return {**parts, "specular": specular}
+
+    def _tallied(self, part: _Part) -> FloatArray:
+        return np.asarray(part.sums.T / part.done / self.area_m2[:, None])
+
+    def _relative_variances(self) -> list[float]:
+        """Return each part's share of the mean over the patches of (standard error / value)^2."""
+        total = np.asarray(sum(self._replicas().values())).mean(axis=1)
+        lit = total > 0.0
+        if not np.any(lit):
+            return [0.0 for _ in self._parts()]
+        own = [self.back.sums.reshape(len(self.owner), REPLICAS, 5)[:, :, :4].sum(axis=2) / self.back.done]
+        own += [self._tallied(p) for p in (self.sun, self.sky) if p is not None]
+        return [float(np.mean((_standard_error(x)[lit] / total[lit]) ** 2)) for x in own]
+
+    def receivers(self) -> tuple[Receiver, ...]:
+        """Return values and standard errors of all receivers."""
+        parts = self._replicas()
+        parts["total"] = np.asarray(sum(parts.values()))
+        found: list[Receiver] = []
+        first = 0
+        for s in self.scene.receivers:
+            here = slice(first, first + s.rows * s.columns)
+            first = here.stop
+            shape = (s.rows, s.columns)
+            patches = {
+                k: Estimate(x[here].mean(axis=1).reshape(shape), _standard_error(x[here]).reshape(shape))
+                for k, x in parts.items()
+            }
+            means = {
+                k: x[here].mean(axis=0) for k, x in parts.items()
+            }  # (replicas,): all patches have one area
+            mean = {k: Estimate(np.asarray(x.mean()), _standard_error(x)) for k, x in means.items()}
+            found.append(
+                Receiver(
+                    s.name, s.origin_m, s.u_m, s.v_m, patches.pop("total"), patches, mean.pop("total"), mean
+                )
+            )
+        return tuple(found)
+
+    def energy(self) -> EnergyBalance:
+        """Return the energy account of all photons, W."""
+        total = np.zeros(6)
+        for part in (self.sun, self.sky):
+            if part is not None:
+                total += part.energy.sum(axis=0) / (part.done * REPLICAS)
+        return EnergyBalance(
+            emitted_w=float(total[layout.EMITTED]),
+            created_w=float(total[layout.CREATED]),
+            absorbed_w=float(total[layout.ABSORBED]),
+            under_horizon_w=float(total[layout.UNDER_HORIZON]),
+            escaped_w=float(total[layout.ESCAPED]),
+            unfinished_w=float(total[layout.UNFINISHED]),
+        )
+
+    def lost_w_m2(self) -> float:
+        """Return what given-up paths may have carried at most, the worst patch, W/m2."""
+        sums = self.back.sums.reshape(len(self.owner), REPLICAS, 5)[:, :, layout.LOST]
+        photons = sum(
+            float(p.energy[:, layout.UNFINISHED].sum()) / (p.done * REPLICAS) for p in self._parts()
+        )
+        return float(np.max(sums.mean(axis=1)) / self.back.done + photons / np.min(self.area_m2))
+
+
+def _standard_error(replicas: FloatArray) -> FloatArray:
+    """Return the standard error of the mean over the last axis."""
+    return np.asarray(replicas.std(axis=-1, ddof=1) / np.sqrt(replicas.shape[-1]))
+
+
+def _patches(scene: Scene, order: list[int]) -> tuple[NDArray[np.int64], FloatArray]:
+    """Return for every patch the stored number of its surface, and its rectangle ``a0, b0, da, db``."""
+    stored = {scene.surfaces[i].name: k for k, i in enumerate(order)}
+    owner: list[int] = []
+    cell: list[tuple[float, float, float, float]] = []
+    for s in scene.receivers:
+        owner += [stored[s.name]] * (s.rows * s.columns)
+        cell += [
+            (column / s.columns, row / s.rows, 1.0 / s.columns, 1.0 / s.rows)
+            for row in range(s.rows)
+            for column in range(s.columns)
+        ]
+    return np.array(owner, dtype=np.int64), np.array(cell, dtype=np.float64)
+
+
+def _chances(g: Surfaces, light: Light, *, from_sky: bool) -> FloatArray | None:
+    """Return the cumulative probabilities with which photons start on the surfaces; ``None`` without light.
+
+    In proportion to the power a surface can receive; a matte one counts a quarter, because its photons must first
+    find a lobe.  A surface seen edge-on by the centre of the sun still gets the part of the disc it sees.
+    """
+    if from_sky:
+        weight = g.area * (0.5 + 0.5 * g.normal[:, 2]) if light.dhi > 0.0 else np.zeros(len(g.area))
+    elif light.dni > 0.0:
+        rim = np.sqrt(light.disc * (2.0 - light.disc))
+        weight = g.area * np.maximum(0.0, g.normal @ light.sun + rim)
+    else:
+        weight = np.zeros(len(g.area))
+    weight = weight * np.where(g.material[:, 1] > 0.0, 1.0, 0.25)
+    if not np.any(weight > 0.0):
+        return None
+    chance = np.cumsum(weight)
+    chance /= chance[-1]
+    chance[np.flatnonzero(weight)[-1] :] = 1.0
+    return np.asarray(chance)
