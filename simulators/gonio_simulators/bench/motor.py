@@ -1,9 +1,9 @@
 """One motorised rotation axis: what its controller counts, and where its arm truly is.
 
-The motor shaft stands at `q` steps, the arm behind the gear's lost motion `b` at `p` steps.  While the angle
-falls, the shaft takes the arm along at ``p = q``; while it rises, it first takes up the lost motion and the arm
-stays `b` behind.  The home routine ends with a falling angle, so the counter is true for targets approached from
-above and `backlash_deg` off for those approached from below.
+The motor shaft stands at `q` steps, the arm behind the gear's lost motion `b` at `p` steps.  While the
+angle falls, the shaft takes the arm along at ``p = q``; while it rises, it first takes up the lost motion and
+the arm stays `b` behind.  The home routine ends with a falling angle, so the counter is true for targets approached
+from above and `backlash_deg` off for those approached from below.
 
 The switches sit at the arm.  Angles are ``zero_deg + p / steps_per_deg``.
 """
@@ -70,7 +70,7 @@ class Motor:
         scale = abs(hardware.steps_per_deg)
         self.speed_steps_s: float = hardware.speed_deg_s * scale
         self.acceleration_steps_s2: float = hardware.acceleration_deg_s2 * scale
-        self.referenced = False
+        self._referenced = False
         self._fault = Fault.NONE
         # Where the arm may stand, relative to the shaft; with a negative scale a falling angle counts up.
         lost = float(round(hardware.backlash_deg * scale))
@@ -104,7 +104,7 @@ class Motor:
         beyond = float(round(self._steps(above)))
         pieces = pieces_to(now_s, position, speed, beyond, fast, acceleration)
         turn_s = pieces[-1].start_s + pieces[-1].duration_s if pieces else now_s
-        self.referenced = False
+        self._referenced = False
         self._run(now_s, pieces + pieces_to(turn_s, beyond, 0.0, 0.0, fast, acceleration), homing=True)
 
     def stop(self) -> None:
@@ -152,6 +152,12 @@ class Motor:
     def is_homing(self) -> bool:
         """Say whether the home routine runs."""
         return self.is_moving() and self._homing
+
+    @property
+    def referenced(self) -> bool:
+        """Whether the home routine has been through since power came on."""
+        self._settle(self.clock.now_s())
+        return self._referenced
 
     @property
     def fault(self) -> Fault:
@@ -229,7 +235,7 @@ class Motor:
         if self._pending_fault is not Fault.NONE:
             self._fault, self._pending_fault = self._pending_fault, Fault.NONE
         elif self._homing:
-            self.referenced = True
+            self._referenced = True
             self._count_origin = 0.0
         self._homing = False
 

@@ -36,6 +36,9 @@ NEGLIGIBLE = 45.0  # exp(-45) = 3e-20
 EDGE_POWER = 6
 """Nodes near the rim of the lobe follow ``x = y**EDGE_POWER``: cos_+^alpha is not smooth there."""
 
+RIM_NEAR = 0.3
+"""The rim spoils the panels also from a little outside: up to this far, in units of the distance."""
+
 SMOOTH_RIM_ALPHA = 30.0
 """From this exponent on the rim carries nothing."""
 
@@ -117,7 +120,7 @@ def lobe_power(seen: View, alpha: float) -> float:
     seen
         The aperture from one point of the sample.
     alpha
-        Exponent of the lobe, 0...1e8; relative error below 1e-10 for values above 1e-250.
+        Exponent of the lobe, 0...1e8; relative error below 1e-10 for values above 1e-30.
     """
     return float(lobe_powers(seen, np.array([alpha]))[0])
 
@@ -147,7 +150,7 @@ def _group_powers(seen: View, alphas: FloatArray, peak: float) -> FloatArray:
     gamma_low, gamma_high = _cut(seen.s, m_u, m_a, sin_reach)
     kappa_low, kappa_high = _cut(seen.t, m_v, m_a, sin_reach)
     panel = min(PANEL_RAD, PANEL_LOBE_WIDTHS / math.sqrt(narrow + 1.0))
-    if broad < SMOOTH_RIM_ALPHA and m_u != 0 and _rim_inside(seen):
+    if broad < SMOOTH_RIM_ALPHA and m_u != 0 and _rim_near(seen):
         kappa, w_kappa = _panels(kappa_low, kappa_high, panel, _rim_crossings(seen))
         gamma, w_gamma = _up_to_rim(seen, np.tan(kappa), gamma_low, gamma_high)
     else:
@@ -204,10 +207,10 @@ def _cut(limits: tuple[float, float], m_side: float, m_a: float, sin_reach: floa
     return min(max(low, middle - reach), high), max(min(high, middle + reach), low)
 
 
-def _rim_inside(seen: View) -> bool:
-    """Whether the plane at 90 deg to the mirror direction cuts the rectangle."""
+def _rim_near(seen: View) -> bool:
+    """Whether the rectangle reaches the plane at 90 deg to the mirror direction, or nearly so."""
     m_u, m_v, m_a = seen.mirror
-    return min(s * m_u + t * m_v for s in seen.s for t in seen.t) + m_a < 0
+    return min(s * m_u + t * m_v for s in seen.s for t in seen.t) + m_a < RIM_NEAR
 
 
 def _rim_crossings(seen: View) -> list[float]:
