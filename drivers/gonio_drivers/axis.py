@@ -192,6 +192,8 @@ class MotorAxis:
         """
         check_target(self._name, self._config, target_deg, rig_name=self._rig_name)
         self._stop_asked.clear()
+        if self._move is not None and self._move.ended:
+            self._move = None  # a start that fails must not leave the result of an earlier move to `wait`
         state = self._ready_state()
         here_deg = self._degrees(state.position_steps)
         if self._stands_at_steps == self._steps(target_deg) and self._is_at(here_deg, target_deg):
@@ -384,7 +386,11 @@ class MotorAxis:
         """Decide from one poll whether the move goes on, has arrived or has failed."""
         here_deg = self._degrees(state.position_steps)
         aim_deg = move.legs_deg[move.leg]
+        if self._stop_asked.is_set() and not state.moving:
+            raise self._stopped(move, here_deg)
         if state.fault is not None and not (move.homing and state.moving):
+            if state.moving:
+                self._stop_quietly()
             raise MotionError(
                 self._drive.device,
                 f"{state.fault}; it stands at {here_deg:.3f} deg on its way to {move.target_deg:g} deg",
@@ -396,13 +402,11 @@ class MotorAxis:
                 self._stop_quietly()
                 raise MotionError(
                     self._drive.device,
-                    f"is still moving at {here_deg:.3f} deg, long after it should have reached {aim_deg:g} deg, "
-                    "and was stopped",
-                    "compare speed_deg_s and acceleration_deg_s2 in the rig file with the drive; look for friction",
+                    f"is still moving at {here_deg:.3f} deg, long after it was due at {aim_deg:g} deg; "
+                    "it was stopped",
+                    "compare speed_deg_s and acceleration_deg_s2 with the drive's; look for friction",
                 )
             return
-        if self._stop_asked.is_set():
-            raise self._stopped(move, here_deg)
         if move.may_be_idle is not None and not self._arrived(move, state, here_deg):
             if not move.may_be_idle.passed(self._clock):
                 return

@@ -66,8 +66,8 @@ class CS260Config(Strict):
             for first, second in itertools.pairwise(bands):
                 if second.range_nm[0] != first.range_nm[1]:
                     raise ValueError(
-                        f"{what} {second.number} begins at {second.range_nm[0]:g} nm but {what} {first.number} "
-                        f"ends at {first.range_nm[1]:g} nm; list them in ascending order with ranges that meet"
+                        f"{what} {second.number} begins at {second.range_nm[0]:g} nm, {what} {first.number} ends "
+                        f"at {first.range_nm[1]:g} nm; list them in ascending order with ranges that meet"
                     )
         return self
 
@@ -87,8 +87,8 @@ def _band_for(what: str, bands: Sequence[BandConfig], wavelength_nm: float) -> i
             return band.number
     raise RefusedError(
         f"wavelength = {wavelength_nm:g} nm is covered by no {what} of the monochromator "
-        f"({bands[0].range_nm[0]:g}-{bands[-1].range_nm[1]:g} nm); choose another or add the {what} to the rig "
-        "file"
+        f"({bands[0].range_nm[0]:g}-{bands[-1].range_nm[1]:g} nm); choose another or add the {what} to the "
+        "rig file"
     )
 
 
@@ -229,7 +229,7 @@ class CS260:
                 self._line.stale(text)
 
     def _prove(self) -> None:
-        """The echo of a question and the form of its answer, two hexadecimal digits, show that both ends agree."""
+        """The echo of a question and the form of its answer, two digits, show that both ends agree."""
         answer = self._ask("STB?")
         if len(answer) != 2:
             raise self._line.damaged(answer.encode("ascii", "replace"), "not a status byte")

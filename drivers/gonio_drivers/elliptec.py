@@ -90,8 +90,8 @@ class ElliptecRotator:
         if not self._is_at(here_deg, target_deg):
             raise MotionError(
                 self._device,
-                f"stands at {here_deg:.2f} deg instead of {target_deg:g} +- {self._config.tolerance_deg:g} deg "
-                f"({polarization.upper()})",
+                f"stands at {here_deg:.2f} deg instead of {target_deg:g} +- {self._config.tolerance_deg:g} deg"
+                f" ({polarization.upper()})",
                 "check that it turns freely, then repeat",
             )
         return here_deg
@@ -154,7 +154,7 @@ class ElliptecRotator:
                 f"counts {pulses} pulses per turn, the rig file says {self._config.pulses_per_turn}",
                 "correct pulses_per_turn in the rig file",
             )
-        return f"Thorlabs ELL{int(digits[:2], 16)}, serial {digits[2:10]}, firmware {digits[14:16]}"
+        return f"Thorlabs ELL{int(digits[:2], 16)}, serial {digits[2:10]}, firmware {digits[14]}.{digits[15]}"
 
     def _exchange(self, command: str, kind: str, timeout_s: float | None = None) -> str:
         """Send one command and return the hexadecimal digits of its reply."""

@@ -180,7 +180,7 @@ class Line:
         )
 
     def damaged(self, reply: bytes, why: str) -> ReplyError:
-        """Return the error for a reply that does not answer what was asked; the line is in doubt from here."""
+        """Return the error for a reply that answers nothing that was asked; the line is in doubt from here."""
         self._in_doubt = True
         self.statistics.damaged += 1
         return ReplyError(

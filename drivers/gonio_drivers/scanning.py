@@ -249,7 +249,7 @@ class ScanningSpectrometer:
         return samples_v, time_s, flags
 
     def _samples(self, averages: int) -> tuple[FloatArray, float, bool, float]:
-        """Return X of each reading [V], the largest magnitude [V], whether any overloaded, the mean time [s]."""
+        """Return X of each reading [V], the largest magnitude [V], whether any overloaded, mean time [s]."""
         samples_v = np.empty(averages)
         largest_v, overload, time_s = 0.0, False, 0.0
         for k in range(averages):

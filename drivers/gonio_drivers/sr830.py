@@ -66,8 +66,8 @@ class SR830Config(Strict):
         if _index(TIME_CONSTANT_S, self.time_constant_s) is None:
             near = min(TIME_CONSTANT_S, key=lambda t: abs(t - self.time_constant_s))
             raise ValueError(
-                f"lockin.time_constant_s = {self.time_constant_s:g} s: the instrument has 1 and 3 times powers of "
-                f"ten; the nearest is {near:g}"
+                f"lockin.time_constant_s = {self.time_constant_s:g} s: the instrument has 1 and 3 times powers "
+                f"of ten; the nearest is {near:g}"
             )
         if self.smallest_range_v > FULL_SCALE_V[-1]:
             raise ValueError(
@@ -147,7 +147,7 @@ class SR830:
         return True
 
     def read(self) -> LockinReading:
-        """Return X and Y at one instant, and whether anything overloaded since the last look; one exchange."""
+        """Return X and Y at one instant and whether anything overloaded since the last look; one exchange."""
         outputs, status = self._line.query(lambda: self._exchange("SNAP? 1,2;LIAS?", 2))
         x_v, y_v = self._numbers(outputs, 2)
         (bits,) = self._numbers(status, 1)
