@@ -126,4 +126,9 @@ def _mixed(s: FloatArray, p: FloatArray, polarization: Polarization) -> FloatArr
         return np.asarray(p)
     if polarization == "unpolarized":
         return np.asarray(0.5 * (s + p))
-    raise GonioError(f"polarization = {polarization!r} is not known; use 's', 'p' or 'unpolarized'")
+    raise unknown_polarization(polarization)
+
+
+def unknown_polarization(polarization: str) -> GonioError:
+    """Return the error for a polarization that is none."""
+    return GonioError(f"polarization = {polarization!r} is not known; use 's', 'p' or 'unpolarized'")

@@ -1,0 +1,26 @@
+"""The fit: four parameters per wavelength with intervals, from a scan or from plain arrays."""
+
+from gonio.fitting.file import load_fit
+from gonio.fitting.fit import fit, fit_readings
+from gonio.fitting.result import (
+    PARAMETERS,
+    ApertureModel,
+    Coefficient,
+    FitResult,
+    Hemispherical,
+    IntervalMethod,
+    PolarizationChoice,
+)
+
+__all__ = [
+    "PARAMETERS",
+    "ApertureModel",
+    "Coefficient",
+    "FitResult",
+    "Hemispherical",
+    "IntervalMethod",
+    "PolarizationChoice",
+    "fit",
+    "fit_readings",
+    "load_fit",
+]

@@ -1,0 +1,85 @@
+"""How uncertain are the parameters: the random part from the residuals, and the part all positions share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gonio.fitting.problem import Problem
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_BLOCK = 256
+_FLAT = 1e-9  # a parameter that moves no reading by more than this part of the largest does not count
+
+
+@dataclass(frozen=True, slots=True)
+class CommonMode:
+    """Standard uncertainties that all positions of one polarization share, (n, m) each.
+
+    An error g of the 100 % baseline scales every reading, ``g r``; an error o of the dark reading shifts it.  They are
+    no scatter: more positions do not average them out, and residuals do not show them.
+    """
+
+    gain_u: FloatArray  # relative
+    offset_u: FloatArray  # in r
+
+
+def random_and_common(
+    problem: Problem, basic: FloatArray, w: FloatArray, held: BoolArray, common: CommonMode | None
+) -> tuple[FloatArray, FloatArray]:
+    """Return the inverse normal matrix and the common-mode covariance of the basic parameters, (m, 4, 4) each.
+
+    The first is ``(J' W J)^-1``, to be scaled by chi2 per degree of freedom.  The second is the sum over common modes
+    of ``s s'`` with ``s = (J' W J)^-1 J' W v``, the shift of the optimum by one standard uncertainty of that mode,
+    ``v = gain_u r`` or ``offset_u`` over the positions of one polarization.  Parameters that are `held` (m, 4), or that
+    no reading depends on, have NaN.
+    """
+    inverse, shared = np.empty((len(basic), 4, 4)), np.zeros((len(basic), 4, 4))
+    for at in range(0, len(basic), _BLOCK):
+        part = slice(at, at + _BLOCK)
+        j = problem.jacobian(basic[part])
+        size = np.sqrt(np.einsum("mna,mna,nm->ma", j, j, w[:, part]))
+        free = ~held[part] & (size > _FLAT * size[:, :1])
+        unit = np.where(free, size, 1.0)
+        j = np.where(free, 1.0, 0.0)[:, None, :] * j / unit[:, None, :]
+        wj = j * w[:, part].T[:, :, None]
+        normal = np.swapaxes(wj, 1, 2) @ j + np.where(free, 0.0, 1.0)[:, :, None] * np.eye(4)
+        inverse[part] = _inverse(normal)
+        if common is not None:
+            model = problem.model(basic[part])
+            for chosen in (problem.is_s, ~problem.is_s):
+                if not np.any(chosen):
+                    continue
+                for v in (common.gain_u[:, part] * model, common.offset_u[:, part]):
+                    pull = np.einsum("mna,nm->ma", wj[:, chosen], v[chosen])
+                    shift = np.einsum("mab,mb->ma", inverse[part], pull)
+                    shared[part] += shift[:, :, None] * shift[:, None, :]
+        known = np.where(free, 1.0, np.nan) / unit
+        outer = known[:, :, None] * known[:, None, :]
+        inverse[part] *= outer
+        shared[part] *= outer
+    return inverse, shared
+
+
+def leverage(problem: Problem, basic: FloatArray, w: FloatArray) -> FloatArray:
+    """Return the diagonal of the hat matrix, (n, m): how much each reading pulls the fit towards itself, 0...1."""
+    h = np.empty_like(w)
+    for at in range(0, len(basic), _BLOCK):
+        part = slice(at, at + _BLOCK)
+        j = problem.jacobian(basic[part]) * np.sqrt(w[:, part].T)[:, :, None]
+        size = np.sqrt(np.sum(j**2, axis=1))
+        j = j / np.where(size > 0.0, size, 1.0)[:, None, :]
+        normal = np.swapaxes(j, 1, 2) @ j + np.where(size > 0.0, 0.0, 1.0)[:, :, None] * np.eye(4)
+        h[:, part] = np.sum((j @ _inverse(normal)) * j, axis=2).T
+    return np.clip(h, 0.0, 1.0)
+
+
+def _inverse(normal: FloatArray) -> FloatArray:
+    """Return inverses of correlation-scaled normal matrices; NaN where singular to working precision."""
+    good = np.linalg.cond(normal) < 1e14
+    safe = np.where(good[:, None, None], normal, np.eye(4))
+    return np.where(good[:, None, None], np.linalg.inv(safe), np.nan)

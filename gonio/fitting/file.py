@@ -1,0 +1,151 @@
+"""A fit beside its data: ``/entry/fit_NAME`` (NXprocess) of the scan file, written and read back."""
+
+from __future__ import annotations
+
+import datetime
+import re
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+import gonio
+from gonio.aperture import Aperture
+from gonio.errors import StoreError
+from gonio.fitting.result import PARAMETERS, FitResult
+
+_TEXT = h5py.string_dtype("utf-8")
+_NAME = re.compile(r"[A-Za-z0-9_]+")
+
+# field, unit, quantity; the attributes of FitResult that are arrays, stored under their own names
+_ARRAYS: tuple[tuple[str, str, str], ...] = (
+    ("wavelength_nm", "nm", "set wavelength"),
+    ("detector_index", "", "index into the instrument's detectors"),
+    ("value", "", "rho_d, rho_s, alpha, n2 of the published lobe"),
+    ("se", "", "standard uncertainty of value"),
+    ("lower", "", "lower end of the 95 % interval"),
+    ("upper", "", "upper end of the 95 % interval"),
+    ("covariance", "", "covariance of value"),
+    ("basic", "", "rho_d, k_n = rho_s R(0), ln(alpha), n2"),
+    ("basic_covariance", "", "covariance of basic"),
+    ("chi2", "", "weighted sum of squared residuals"),
+    ("dof", "", "degrees of freedom"),
+    ("rms", "", "root mean square residual of r"),
+    ("condition", "", "condition number of the correlation matrix"),
+    ("residual", "", "r minus fitted r"),
+    ("sigma", "", "standard deviation of r behind the weights, before scaling by chi2"),
+    ("theta_i_deg", "deg", "incidence"),
+    ("theta_o_deg", "deg", "observation angle from the normal, positive on the specular side"),
+)
+
+
+def save_fit(fit: FitResult, path: Path | str, name: str | None) -> str:
+    """Write ``/entry/fit_NAME``; the group is complete before it takes the place of an older one of that name."""
+    name = f"{fit.aperture}_{fit.polarization}" if name is None else name.removeprefix("fit_")
+    if not _NAME.fullmatch(name):
+        raise StoreError(f"fit name {name!r} may hold letters, digits and _ only; choose another")
+    with _opened(path, "r+") as file:
+        entry = file["entry"]
+        made = f".fit_{name}"
+        if made in entry:
+            del entry[made]
+        group = entry.create_group(made)
+        _write(group, fit)
+        final = f"fit_{name}"
+        if final in entry:
+            del entry[final]
+        entry.move(made, final)
+        file.flush()
+    return name
+
+
+def load_fit(path: Path | str, name: str | None = None) -> FitResult:
+    """Return a stored fit.
+
+    Parameters
+    ----------
+    path
+        The scan file.
+    name
+        ``"exact_joint"`` or ``"fit_exact_joint"``; None takes the exact joint fit, or else the newest.
+
+    Raises
+    ------
+    StoreError
+        No such file, no fit in it, or none of that name; the message lists those that are there.
+    """
+    with _opened(path, "r") as file:
+        entry = file["entry"]
+        there = [key.removeprefix("fit_") for key in entry if key.startswith("fit_")]
+        if not there:
+            raise StoreError(f"{path}: holds no fit; run: gonio fit {path}")
+        if name is None:
+            newest = max(there, key=lambda key: _text(entry[f"fit_{key}/date"]))
+            name = "exact_joint" if "exact_joint" in there else newest
+        name = name.removeprefix("fit_")
+        if name not in there:
+            raise StoreError(f"{path}: holds no fit '{name}'; it holds: {', '.join(sorted(there))}")
+        return _read(entry[f"fit_{name}"], f"{path}:/entry/fit_{name}")
+
+
+def _opened(path: Path | str, mode: str) -> Any:
+    path = Path(path)
+    if not path.is_file():
+        raise StoreError(f"{path}: there is no such file; check the path")
+    try:
+        file = h5py.File(path, mode)
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be opened as HDF5 ({error}); is another program writing it?") from None
+    if not isinstance(file.get("entry"), h5py.Group):
+        file.close()
+        raise StoreError(f"{path}: is not a gonio scan, /entry is missing; give a file written by gonio scan")
+    return file
+
+
+def _write(group: Any, fit: FitResult) -> None:
+    group.attrs["NX_class"] = "NXprocess"
+    for key, text in {
+        "program": "gonio",
+        "version": gonio.__version__,
+        "date": datetime.datetime.now(datetime.UTC).isoformat(),
+        "model": "published lobe",
+        "aperture": fit.aperture,
+        "polarization": fit.polarization,
+        "intervals": fit.intervals,
+        "weights": fit.weights,
+        "sample_name": fit.sample_name,
+    }.items():
+        group.create_dataset(key, data=text, dtype=_TEXT)
+    group.create_dataset("parameters", data=list(PARAMETERS), dtype=_TEXT)
+    group.create_dataset("notes", data=list(fit.notes), dtype=_TEXT)
+    group.create_dataset("polarization_of", data=[str(p) for p in fit.polarization_of], dtype=_TEXT)
+    for field, unit, quantity in _ARRAYS:
+        data = group.create_dataset(field, data=getattr(fit, field))
+        data.attrs["quantity"] = quantity
+        data.attrs["units"] = unit
+    size = group.create_group("instrument")
+    for field in ("width_mm", "height_mm", "distance_mm"):
+        size.create_dataset(field, data=getattr(fit.instrument, field)).attrs["units"] = "mm"
+
+
+def _read(group: Any, where: str) -> FitResult:
+    try:
+        return FitResult(
+            **{field: group[field][()] for field, _, _ in _ARRAYS},
+            parameters=PARAMETERS,
+            notes=tuple(group["notes"].asstr()[()]),
+            polarization_of=np.asarray(group["polarization_of"].asstr()[()], np.str_),
+            aperture=_text(group["aperture"]),  # type: ignore[arg-type]
+            polarization=_text(group["polarization"]),  # type: ignore[arg-type]
+            intervals=_text(group["intervals"]),  # type: ignore[arg-type]
+            weights=_text(group["weights"]),
+            sample_name=_text(group["sample_name"]),
+            instrument=Aperture(*(float(group["instrument"][f][()]) for f in ("width_mm", "height_mm", "distance_mm"))),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise StoreError(f"{where}: is damaged or of another version ({error}); fit the scan again") from None
+
+
+def _text(data: Any) -> str:
+    return str(data.asstr()[()])

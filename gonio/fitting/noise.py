@@ -1,0 +1,95 @@
+"""How noisy is each reading?  A variance function, estimated from the residuals of a first fit.
+
+A goniospectrophotometer's noise has a floor (detector), a part that grows with the signal (shot noise) and a part
+proportional to it (flicker of the lamp):
+
+    var(r) = c0 + c1 r + c2 r^2,   all c >= 0,
+
+evaluated at the fitted r, for weights taken from noisy readings would bias the fit.  The coefficients are found for each
+wavelength from the squared residuals of its neighbours too, never across a change of the detector.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+NEIGHBOURS = 7
+"""Wavelengths on each side whose residuals are pooled."""
+
+_FAR = 6.0  # residuals beyond so many standard deviations are no noise and do not widen the variance function
+_FLOOR = 1e-6  # of the mean variance; keeps weights finite where the fitted function touches zero
+
+
+def variance_function(
+    squared_residual: FloatArray, model: FloatArray, use: NDArray[np.bool_], detector_index: NDArray[np.integer]
+) -> FloatArray:
+    """Return the variance of every reading.
+
+    Parameters
+    ----------
+    squared_residual
+        (n, m), each divided by one minus its leverage, so that its expectation is the variance.
+    model
+        (n, m) fitted readings.
+    use
+        (n, m) readings that took part.
+    detector_index
+        (m,); residuals are pooled among neighbours with the same index.
+
+    Returns
+    -------
+    ndarray
+        (n, m), positive; zero everywhere if all residuals are zero.
+    """
+    mean = np.sum(squared_residual * use) / max(int(np.sum(use)), 1)
+    if mean == 0.0:
+        return np.zeros_like(model)
+    level = np.maximum(np.abs(model), 1e-300)
+    typical = np.sum(level * use) / max(int(np.sum(use)), 1)
+    columns = np.stack([np.ones_like(level), level / typical, (level / typical) ** 2])  # (3, n, m)
+    pool = _pooling(detector_index)
+    variance = np.broadcast_to(_pooled_mean(squared_residual, use, pool), level.shape)
+    variance = np.maximum(variance, _FLOOR * mean)
+    for _ in range(3):
+        near = use & (squared_residual < _FAR**2 * variance)
+        weight = near / variance**2  # a squared residual varies as the square of the variance
+        normal = np.einsum("anm,bnm,nm->mab", columns, columns, weight, optimize=True)
+        right = np.einsum("anm,nm->ma", columns, weight * squared_residual, optimize=True)
+        c = _non_negative(np.einsum("km,mab->kab", pool, normal), pool @ right)
+        variance = np.maximum(np.einsum("ma,anm->nm", c, columns), _FLOOR * mean)
+    return np.asarray(variance)
+
+
+def _pooling(detector_index: NDArray[np.integer]) -> FloatArray:
+    """Return the (m, m) matrix of ones where residuals are pooled: near in order and of one detector."""
+    order = np.arange(len(detector_index))
+    run = np.cumsum(np.concatenate([[0], np.diff(detector_index.astype(np.int64)) != 0]))
+    near = np.abs(order[:, None] - order) <= NEIGHBOURS
+    return np.asarray((near & (run[:, None] == run)).astype(np.float64))
+
+
+def _pooled_mean(squared_residual: FloatArray, use: NDArray[np.bool_], pool: FloatArray) -> FloatArray:
+    return np.asarray((pool @ np.sum(squared_residual * use, axis=0)) / np.maximum(pool @ np.sum(use, axis=0), 1.0))
+
+
+def _non_negative(normal: FloatArray, right: FloatArray) -> FloatArray:
+    """Return argmin of ``c' A c / 2 - b' c`` over c >= 0 for each of m small problems, by trying every active set."""
+    m, p = right.shape
+    best, value = np.zeros((m, p)), np.zeros(m)
+    for size in range(1, p + 1):
+        for chosen in itertools.combinations(range(p), size):
+            pick = list(chosen)
+            a = normal[:, pick][:, :, pick]
+            trace = np.trace(a, axis1=1, axis2=2)
+            a = a + 1e-12 * np.where(trace > 0.0, trace, 1.0)[:, None, None] * np.eye(size)
+            c = np.linalg.solve(a, right[:, pick][:, :, None])[:, :, 0]
+            gain = 0.5 * np.sum(c * right[:, pick], axis=1)
+            better = np.all(c >= 0.0, axis=1) & (gain > value)
+            best[np.ix_(np.flatnonzero(better), pick)] = c[better]
+            value[better] = gain[better]
+    return best

@@ -1,0 +1,145 @@
+"""The printed table of a fit: one row per wavelength band, beside the truth and the sphere where they are known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from gonio.fitting.result import FitResult
+
+FloatArray = NDArray[np.float64]
+
+BANDS = ((300.0, 400.0), (400.0, 550.0), (550.0, 700.0), (700.0, 860.0), (860.0, 1100.0), (1100.0, 1300.0), (1300.0, 1500.0))  # fmt: skip
+THETA_I_DEG = 8.0
+"""Incidence of k_s and k_g in the table: the integrating sphere's."""
+
+_DIGITS = {"rho_d": 4, "rho_s": 3, "alpha": 1, "n2": 3, "k_d": 4, "k_s": 4, "k_g": 4}
+
+
+def band_table(
+    fit: FitResult,
+    bands: Sequence[tuple[float, float]] | None = None,
+    *,
+    truth: Mapping[str, FloatArray] | None = None,
+    sphere: Mapping[str, FloatArray] | None = None,
+) -> str:
+    """Return the table.
+
+    Parameters
+    ----------
+    bands
+        (low, high) in nm, low included, high excluded but for the last; None takes those of `BANDS` that the scan has.
+    truth, sphere
+        Columns over ``wavelength_nm``: `truth` any of the parameters and coefficients, `sphere` ``k_g`` and, if known,
+        its standard uncertainty ``k_g_u``.  They are interpolated to the fit's wavelengths.
+
+    Notes
+    -----
+    Each entry is the plain mean over the band's wavelengths, ± half its 95 % interval with wavelengths independent
+    of each other, their common parts taken as fully correlated only where the covariance says so.
+    """
+    columns = _columns(fit)
+    rows = _rows(fit, BANDS if bands is None else bands)
+    width = {name: max(len(name), _DIGITS[name] + 5) + 2 + _DIGITS[name] + 4 for name in columns}
+    head = f"{'nm':<11}" + "".join(f"{name:>{width[name]}}" for name in columns)
+    if sphere is not None:
+        head += f"{'k_g sphere':>19}{'E_n':>7}"
+    lines = [head, "-" * len(head)]
+    for label, use in rows:
+        line = f"{label:<11}"
+        for name, (value, half) in columns.items():
+            line += f"{_entry(value[use], half[use], _DIGITS[name]):>{width[name]}}"
+        if sphere is not None:
+            line += _sphere_entry(fit, columns["k_g"], sphere, use)
+        lines.append(line)
+        if truth is not None:
+            line = f"{'  true':<11}"
+            for name in columns:
+                known = _interpolated(truth, name, fit.wavelength_nm[use])
+                text = "" if known is None else f"{np.mean(known):.{_DIGITS[name]}f}" + " " * (_DIGITS[name] + 5)
+                line += f"{text:>{width[name]}}"
+            lines.append(line.rstrip())
+    lines.append(
+        f"mean ± half width of its 95 % interval; k at {THETA_I_DEG:g} deg, S/P mean, lobe above the horizon; "
+        f"aperture '{fit.aperture}', polarization '{fit.polarization}'"
+    )
+    lines.extend(_remarks(fit))
+    return "\n".join(lines)
+
+
+def _columns(fit: FitResult) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Return value and half width, (m,) each, by name."""
+    columns = {name: (fit.value[:, i], fit.quantile * fit.se[:, i]) for i, name in enumerate(fit.parameters)}
+    k = fit.hemispherical(THETA_I_DEG)
+    return columns | {name: (c.value, fit.quantile * c.se) for name, c in (("k_d", k.k_d), ("k_s", k.k_s), ("k_g", k.k_g))}
+
+
+def _rows(fit: FitResult, bands: Sequence[tuple[float, float]]) -> list[tuple[str, NDArray[np.bool_]]]:
+    at = fit.wavelength_nm
+    if not np.all(np.isfinite(at)):
+        return [("all", np.ones(len(at), bool))]
+    rows = []
+    for low, high in bands:
+        use = (at >= low) & ((at < high) | ((high == bands[-1][1]) & (at == high)))
+        if np.any(use):
+            rows.append((f"{low:g}-{high:g}", use))
+    return rows or [(f"{at.min():g}-{at.max():g}", np.ones(len(at), bool))]
+
+
+def _entry(value: FloatArray, half: FloatArray, digits: int) -> str:
+    good = np.isfinite(value)
+    if not np.any(good):
+        return "undetermined" if digits < 4 else "-"
+    mean = float(np.mean(value[good]))
+    sd = half[good]
+    if not np.all(np.isfinite(sd)):
+        return f"{mean:.{digits}f} ± {'?':<{digits + 2}}"
+    return f"{mean:.{digits}f} ± {float(np.sqrt(np.sum(sd**2)) / sd.size):.{digits}f}"
+
+
+def _interpolated(columns: Mapping[str, FloatArray], name: str, at: FloatArray) -> FloatArray | None:
+    if name not in columns or "wavelength_nm" not in columns:
+        return None
+    return np.interp(at, columns["wavelength_nm"], columns[name], left=np.nan, right=np.nan)
+
+
+def _sphere_entry(
+    fit: FitResult, k_g: tuple[FloatArray, FloatArray], sphere: Mapping[str, FloatArray], use: NDArray[np.bool_]
+) -> str:
+    """Return the sphere's mean k_g ± its expanded uncertainty, and E_n of the means (uncertainty of the sphere common)."""
+    known = _interpolated(sphere, "k_g", fit.wavelength_nm[use])
+    if known is None or not np.all(np.isfinite(known)):
+        return f"{'-':>19}{'-':>7}"
+    mean = float(np.mean(known))
+    u = _interpolated(sphere, "k_g_u", fit.wavelength_nm[use])
+    if u is None:
+        return f"{mean:>10.4f}         {'-':>7}"
+    expanded = 2.0 * float(np.mean(u))
+    value, half = k_g[0][use], k_g[1][use]
+    own = float(np.sqrt(np.nansum(half**2)) / half.size)
+    e_n = (float(np.nanmean(value)) - mean) / np.hypot(own, expanded)
+    return f"{f'{mean:.4f} ± {expanded:.4f}':>19}{e_n:>7.2f}"
+
+
+def _remarks(fit: FitResult) -> list[str]:
+    """Return the notes, each once, with the wavelengths it holds for."""
+    kinds: dict[str, list[int]] = {}
+    for k, note in enumerate(fit.notes):
+        for part in filter(None, note.split("; ")):
+            kinds.setdefault(_kind(part), []).append(k)
+    lines = []
+    for kind, at in kinds.items():
+        example = next(p for p in fit.notes[at[0]].split("; ") if _kind(p) == kind)
+        nm = fit.wavelength_nm[at]
+        where = f"{nm[0]:g} nm" if len(at) == 1 else f"{len(at)} wavelengths, {nm.min():g}-{nm.max():g} nm, the first"
+        lines.append(f"  {where}: {example}")
+    return ["notes:", *lines] if lines else []
+
+
+def _kind(part: str) -> str:
+    """Return a note without its numbers, so that equal notes of many wavelengths are printed once."""
+    return "".join("#" if c.isdigit() else c for c in part).replace("#", "").replace("-", "").replace(".", "")
