@@ -13,7 +13,7 @@ from typing import Any
 
 from gonio.acquire import Runner, Snapshot, State, resume_scan, stored_rig
 from gonio.bench_process import served
-from gonio.cli.progress import Bar, progress_bar, readable_duration
+from gonio.cli.progress import progress_bar, readable_duration
 from gonio.errors import RefusedError, StoreError
 from gonio.plan import Plan, check, estimate, load_plan
 from gonio.rig import RigConfig, load_rig, open_rig
@@ -76,7 +76,7 @@ def refuse_existing(path: Path) -> None:
 
 def acquire(plan: Plan, rig: RigConfig, output: Path, *, wire_log: Path | None = None) -> None:
     """Run a plan with a progress bar; Ctrl-C stops in order and leaves a file that can be resumed."""
-    with open_rig(rig, wire_log=wire_log) as connected, _watched(plan.title) as on_snapshot:
+    with open_rig(rig, wire_log=wire_log) as connected, _watched(plan.title, rig) as on_snapshot:
         runner = Runner(connected, plan, output, on_snapshot=on_snapshot)
         with _stopped_by_signals(runner):
             runner.run()
@@ -84,27 +84,26 @@ def acquire(plan: Plan, rig: RigConfig, output: Path, *, wire_log: Path | None =
 
 def continue_scan(path: Path, rig: RigConfig, *, wire_log: Path | None = None) -> None:
     """Resume a scan with a progress bar."""
-    with open_rig(rig, wire_log=wire_log) as connected, _watched(path.name) as on_snapshot:
+    with open_rig(rig, wire_log=wire_log) as connected, _watched(path.name, rig) as on_snapshot:
         runner = resume_scan(path, connected, on_snapshot=on_snapshot)
         with _stopped_by_signals(runner):
             runner.run()
 
 
 @contextmanager
-def _watched(title: str) -> Iterator[Callable[[Snapshot], None]]:
+def _watched(title: str, rig: RigConfig) -> Iterator[Callable[[Snapshot], None]]:
+    speed = rig.clock_speed()  # the person waits in real seconds
     with progress_bar(title, 1.0) as bar:
 
         def show(snapshot: Snapshot) -> None:
-            bar.total = max(snapshot.readings_total, 1)
-            _show(bar, snapshot)
+            if snapshot.state is State.RUNNING:
+                state = f"{readable_duration(snapshot.left_s / speed)} left"
+            else:
+                state = snapshot.state.value
+            done = snapshot.readings_done / max(snapshot.readings_total, 1)
+            bar.update(done, f"{snapshot.done}/{snapshot.total} positions, {state}")
 
         yield show
-
-
-def _show(bar: Bar, snapshot: Snapshot) -> None:
-    where = f"{snapshot.done}/{snapshot.total} positions"
-    left = f", {readable_duration(snapshot.left_s)} left" if snapshot.state is State.RUNNING else f", {snapshot.state.value}"
-    bar.update(snapshot.readings_done / max(snapshot.readings_total, 1), where + left)
 
 
 @contextmanager

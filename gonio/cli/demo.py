@@ -10,7 +10,7 @@ import time
 from importlib import resources
 from pathlib import Path
 
-from gonio.acquire import journal_path
+from gonio.acquire.journal import journal_path
 from gonio.bench_process import served
 from gonio.cli.acquisition import acquire, continue_scan, refuse_bad_plan
 from gonio.cli.analysis import fit_table
