@@ -24,6 +24,7 @@ from gonio.errors import GonioError
 FloatArray = NDArray[np.float64]
 Polarization = Literal["s", "p", "unpolarized"]
 RatioFunction = Callable[[ArrayLike, ArrayLike, Polarization], FloatArray]
+Amplitude = Callable[[FloatArray, FloatArray], FloatArray]
 
 
 def reflectance(n2: ArrayLike, theta_i_deg: ArrayLike, polarization: Polarization) -> FloatArray:
@@ -44,9 +45,8 @@ def reflectance(n2: ArrayLike, theta_i_deg: ArrayLike, polarization: Polarizatio
         An index below 1, where light would be reflected totally: the model is of light in air.
     """
     n, c = _checked(n2, theta_i_deg)
-    s, p = _reduced_amplitudes(n, c)
     contrast = (n - 1.0) * (n + 1.0)
-    return _mixed((contrast * s) ** 2, (contrast * p) ** 2, polarization)
+    return _mixed(lambda a: (contrast * a(n, c)) ** 2, polarization)
 
 
 def reflectance_ratio(n2: ArrayLike, theta_i_deg: ArrayLike, polarization: Polarization) -> FloatArray:
@@ -55,24 +55,20 @@ def reflectance_ratio(n2: ArrayLike, theta_i_deg: ArrayLike, polarization: Polar
     Shapes, limits and errors as `reflectance`; ``R(0) = ((n2 - 1) / (n2 + 1))^2``.
     """
     n, c = _checked(n2, theta_i_deg)
-    s, p = _reduced_amplitudes(n, c)
-    scale = (n + 1.0) ** 2
-    return _mixed((scale * s) ** 2, (scale * p) ** 2, polarization)
+    return _mixed(lambda a: ((n + 1.0) ** 2 * a(n, c)) ** 2, polarization)
 
 
 def reflectance_ratio_dn2(n2: ArrayLike, theta_i_deg: ArrayLike, polarization: Polarization) -> FloatArray:
     """Return the derivative of `reflectance_ratio` with respect to `n2` (below 90 degrees, or n2 > 1)."""
     n, c = _checked(n2, theta_i_deg)
-    s, p = _reduced_amplitudes(n, c)
-    q = np.sqrt((n - 1.0) * (n + 1.0) + c**2)
     scale = (n + 1.0) ** 2
+
+    def slope(amplitude: Amplitude) -> FloatArray:
+        a, da = amplitude(n, c), _AMPLITUDE_DN2[amplitude](n, c)
+        return 2.0 * scale * a * (2.0 * (n + 1.0) * a + scale * da)
+
     with np.errstate(divide="ignore", invalid="ignore"):
-        log_s = 2.0 / (n + 1.0) - 2.0 * n / (q * (c + q))
-        below = n**2 * c + q
-        dp = 2.0 * (n + 1.0) * p + scale * (
-            2.0 * n * (c / below) ** 2 - 2.0 * p * (2.0 * n * c + n / q) / below
-        )
-    return _mixed(2.0 * (scale * s) ** 2 * log_s, 2.0 * scale * p * dp, polarization)
+        return _mixed(slope, polarization)
 
 
 def reflectance_dn2(n2: ArrayLike, theta_i_deg: ArrayLike, polarization: Polarization) -> FloatArray:
@@ -106,26 +102,44 @@ def _checked(n2: ArrayLike, theta_i_deg: ArrayLike) -> tuple[FloatArray, FloatAr
     return n, cos_deg(theta)
 
 
-def _reduced_amplitudes(n: FloatArray, c: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return ``-r_s / (n^2 - 1)`` and ``r_p / (n^2 - 1)``; any finite number where n = 1 at 90 degrees."""
+def _s_amplitude(n: FloatArray, c: FloatArray) -> FloatArray:
+    """Return ``-r_s / (n^2 - 1) = 1 / (c + q)^2``; any finite number where n = 1 at 90 degrees."""
     q2 = (n - 1.0) * (n + 1.0) + c**2  # n^2 - sin^2, equal to c^2 exactly at n = 1
-    q = np.sqrt(q2)
-    # the squares are expanded so that c = 0 leaves exactly n^2 - 1, and R is exactly 1
-    below_s = c**2 + 2.0 * c * q + q2
-    below_p = (n**2 * c) ** 2 + 2.0 * n**2 * c * q + q2
-    no_interface = below_s == 0.0
-    s = 1.0 / np.where(no_interface, 1.0, below_s)
-    p = ((n**2 + 1.0) * c**2 - 1.0) / np.where(no_interface, 1.0, below_p)
-    return s, p
+    # the square is expanded so that c = 0 leaves exactly n^2 - 1, and R is exactly 1
+    below = c**2 + 2.0 * c * np.sqrt(q2) + q2
+    return np.asarray(1.0 / np.where(below == 0.0, 1.0, below))
 
 
-def _mixed(s: FloatArray, p: FloatArray, polarization: Polarization) -> FloatArray:
+def _p_amplitude(n: FloatArray, c: FloatArray) -> FloatArray:
+    """Return ``r_p / (n^2 - 1) = ((n^2 + 1) c^2 - 1) / (n^2 c + q)^2``."""
+    q2 = (n - 1.0) * (n + 1.0) + c**2
+    below = (n**2 * c) ** 2 + 2.0 * n**2 * c * np.sqrt(q2) + q2
+    return np.asarray(((n**2 + 1.0) * c**2 - 1.0) / np.where(below == 0.0, 1.0, below))
+
+
+def _s_amplitude_dn2(n: FloatArray, c: FloatArray) -> FloatArray:
+    q = np.sqrt((n - 1.0) * (n + 1.0) + c**2)
+    return np.asarray(-2.0 * n / (q * (c + q) ** 3))
+
+
+def _p_amplitude_dn2(n: FloatArray, c: FloatArray) -> FloatArray:
+    q = np.sqrt((n - 1.0) * (n + 1.0) + c**2)
+    below = n**2 * c + q
+    above = (n**2 + 1.0) * c**2 - 1.0
+    return np.asarray(2.0 * (n * c**2 - above * (2.0 * n * c + n / q) / below) / below**2)
+
+
+_AMPLITUDE_DN2: dict[Amplitude, Amplitude] = {_s_amplitude: _s_amplitude_dn2, _p_amplitude: _p_amplitude_dn2}
+
+
+def _mixed(of: Callable[[Amplitude], FloatArray], polarization: Polarization) -> FloatArray:
+    """Return a function of the amplitude for S or P, or the mean of both."""
     if polarization == "s":
-        return np.asarray(s)
+        return np.asarray(of(_s_amplitude))
     if polarization == "p":
-        return np.asarray(p)
+        return np.asarray(of(_p_amplitude))
     if polarization == "unpolarized":
-        return np.asarray(0.5 * (s + p))
+        return np.asarray(0.5 * (of(_s_amplitude) + of(_p_amplitude)))
     raise unknown_polarization(polarization)
 
 

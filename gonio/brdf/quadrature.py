@@ -154,17 +154,20 @@ def band_integral_table(
     seen = log_bound > -60.0
     table = np.zeros((alpha.size, delta_deg.size))
     nodes, weights = gauss_legendre(16)
-    delta = np.deg2rad(delta_deg)
-    for row, a in enumerate(alpha):
-        at = np.flatnonzero(seen[row] & ~cut)
-        if not at.size:
-            continue
-        panels = int(np.ceil(2.0 * half_width_rad * np.sqrt(a + 1.0) / 3.0))
-        edges = np.linspace(-half_width_rad, half_width_rad, panels + 1)
-        middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * np.diff(edges)
-        t = (middle[:, None] + half[:, None] * nodes).ravel()
-        share = (half[:, None] * weights).ravel() * across(np.full((1, 1), a), t[None, :])[0]
-        table[row, at] = np.exp(a * np.log1p(-2.0 * np.sin(0.5 * (delta[at, None] - t)) ** 2)) @ share
+    # panel numbers are rounded up to powers of two, so that many alphas share one grid and its logarithms
+    needed = np.maximum(2.0 * half_width_rad * np.sqrt(alpha + 1.0) / 3.0, 1.0)
+    panels = 2 ** np.ceil(np.log2(needed)).astype(int)
+    for count in np.unique(panels):
+        rows = np.flatnonzero(panels == count)
+        at = np.flatnonzero(np.any(seen[rows], axis=0) & ~cut)
+        edges = np.linspace(-half_width_rad, half_width_rad, count + 1)
+        half = 0.5 * np.diff(edges)[:, None]
+        t = (0.5 * (edges[1:] + edges[:-1])[:, None] + half * nodes).ravel()
+        share = (half * weights).ravel() * across(alpha[rows, None], t[None, :])
+        log_lobe = np.log1p(-2.0 * np.sin(0.5 * (np.deg2rad(delta_deg[at, None]) - t)) ** 2)
+        for row, weight in zip(rows, share, strict=True):
+            carries = seen[row, at]
+            table[row, at[carries]] = np.exp(alpha[row] * log_lobe[carries]) @ weight
     rows, columns = np.nonzero(seen & cut)
     table[rows, columns] = band_integral(
         alpha[rows], delta_deg[columns], half_width_rad, theta_o_deg[columns], across

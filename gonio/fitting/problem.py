@@ -66,8 +66,13 @@ class Problem:
         return np.asarray((high - low) / (2.0 * _N2_STEP))
 
     def _by_group(self, function: fresnel.RatioFunction, n2: FloatArray) -> FloatArray:
-        rows = [function(n2, theta, "s" if s else "p") for theta, s in self.groups]
-        return np.stack(rows)[self.incidence]
+        rows = np.empty((len(self.groups), n2.size))
+        for polarization, wanted in (("s", True), ("p", False)):
+            pick = [k for k, (_, is_s) in enumerate(self.groups) if is_s is wanted]
+            theta = np.array([self.groups[k][0] for k in pick])[:, None]
+            if pick:
+                rows[pick] = function(n2, theta, polarization)
+        return rows[self.incidence]
 
     def model(self, basic: FloatArray) -> FloatArray:
         """Return the readings, (n, m), of m sets of basic parameters (m, 4)."""
