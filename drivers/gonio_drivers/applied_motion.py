@@ -15,8 +15,11 @@ from gonio.errors import DeviceError, MotionError
 from gonio.rig import Context, Driver, StageConfig
 from pydantic import Field
 
-from gonio_drivers.axis import DriveState, MotorAxis, MotorConfig, MotorStage
+from gonio_drivers.axis import MotorAxis
+from gonio_drivers.drive import DriveState, MotorConfig
+from gonio_drivers.lines import connecting
 from gonio_drivers.modbus import Framing, ModbusLine, WordOrder, open_modbus
+from gonio_drivers.stage import MotorStage
 
 ALARM, STATUS, ENCODER, POSITION = 0x00, 0x01, 0x04, 0x06
 ACCELERATION, DECELERATION, VELOCITY, TARGET = 0x1B, 0x1C, 0x1D, 0x1E
@@ -194,7 +197,7 @@ def open_stage(config: AppliedMotionStageConfig, context: Context) -> MotorStage
         word_order=config.word_order,
         baudrate=config.baudrate,
     )
-    try:
+    with connecting(line.line):
         drives = {
             name: AppliedMotionDrive(line, name, table, referenced=not config.home_on_connect)
             for name, table in (("theta_i", config.theta_i), ("theta_mes", config.theta_mes))
@@ -206,9 +209,6 @@ def open_stage(config: AppliedMotionStageConfig, context: Context) -> MotorStage
             descriptions={name: drive.describe() for name, drive in drives.items()},
         )
         stage.home_where_needed()
-    except BaseException:
-        line.close()
-        raise
     return stage
 
 

@@ -15,12 +15,13 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from gonio.clock import Clock
 from gonio.errors import DeviceError, MotionError
-from gonio.rig import AxisConfig, Context, check_path, check_target
+from gonio.rig import Context, check_path, check_target
 
+from gonio_drivers.drive import Drive, DriveState, MotorConfig, approach_legs
 from gonio_drivers.status import ThreadStatus
 
 POLL_S = 0.05  # instrument seconds between polls of a moving axis; a fault is seen at most this late
@@ -28,84 +29,6 @@ _SHORTEST_POLL_S = 0.01
 _DEADLINE_FACTOR = 3.0
 _DEADLINE_MARGIN_S = 5.0
 _REAL_FLOOR_S = 3.0  # a fast simulated clock must not turn a pause of the operating system into a timeout
-
-
-@dataclass(frozen=True, slots=True)
-class DriveState:
-    """What one poll of a drive said."""
-
-    position_steps: int
-    moving: bool
-    referenced: bool
-    fault: str | None  # what ended or prevents a move, in words; None if nothing does
-    remedy: str = ""
-
-
-class Drive(Protocol):
-    """One motor on its line; positions are steps.  Every method raises `DeviceError`."""
-
-    @property
-    def device(self) -> str:
-        """Name for messages: axis, make, number, address."""
-        ...
-
-    @property
-    def start_latency_s(self) -> float:
-        """Instrument seconds for which the drive may still say idle after it has accepted a move."""
-        ...
-
-    def state(self) -> DriveState:
-        """Ask for position, motion and faults."""
-        ...
-
-    def clear_faults(self) -> None:
-        """Acknowledge faults of an earlier move, so that a fault seen from now on belongs to the next."""
-        ...
-
-    def move_to(self, position_steps: int) -> None:
-        """Begin a move and return; never repeated when the reply fails."""
-        ...
-
-    def home(self) -> None:
-        """Begin the search for the reference switch and return."""
-        ...
-
-    def finish_home(self) -> None:
-        """Do what is left to do when the search has ended without a fault."""
-        ...
-
-    def stop(self) -> None:
-        """Decelerate and stop."""
-        ...
-
-
-class MotorConfig(AxisConfig):
-    """What a driver must know of an axis driven by steps."""
-
-    steps_per_deg: float  # negative if the angle falls while the steps rise
-    zero_deg: float = 0.0  # angle at step 0, the home switch
-
-
-def approach_legs(config: AxisConfig, from_deg: float, target_deg: float) -> tuple[float, ...]:
-    """Return the targets of the moves that lead to `target_deg`, each in degrees, the last being
-    `target_deg`.
-
-    The lost motion of the gears is taken up by ending every approach in the same direction: towards zero,
-    that is from the side on which an overshoot by `backlash_deg` goes away from the blind zone.  An axis that
-    comes from that side anyway, from at least `backlash_deg` away, goes directly.
-
-    Where the overshoot would leave the limits (at 180 deg with limits 15...180 deg) there is no room: the
-    axis goes directly, and so always arrives there from the other side.
-    """
-    if config.backlash_deg == 0.0:
-        return (target_deg,)
-    outward = -1.0 if target_deg < 0 else 1.0
-    overshoot_deg = target_deg + outward * config.backlash_deg
-    low, high = config.limits_deg
-    comes_from_outside = (from_deg - target_deg) * outward >= config.backlash_deg
-    if comes_from_outside or not low <= overshoot_deg <= high:
-        return (target_deg,)
-    return (overshoot_deg, target_deg)
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,6 +97,10 @@ class MotorAxis:
     def config(self) -> MotorConfig:
         """The axis' table of the rig file."""
         return self._config
+
+    def join(self, group: Sequence[MotorAxis]) -> None:
+        """Keep the moves of these axes going while one of them is waited for."""
+        self._group = tuple(group)
 
     def position_deg(self) -> float:
         """Return the position read back from the drive, degrees."""
@@ -448,43 +375,3 @@ class MotorAxis:
             self._drive.stop()
         except DeviceError:
             return  # the error that led here says more
-
-
-class MotorStage:
-    """The goniometer's two axes; satisfies `gonio.devices.Stage`."""
-
-    def __init__(
-        self, theta_i: MotorAxis, theta_mes: MotorAxis, *, line: Any, descriptions: Mapping[str, str]
-    ) -> None:
-        self.theta_i = theta_i
-        self.theta_mes = theta_mes
-        self._line = line
-        self._descriptions = descriptions
-        theta_i._group = theta_mes._group = (theta_i, theta_mes)
-
-    def home_where_needed(self) -> None:
-        """Home the axes that have no reference, both at once."""
-        axes = [axis for axis in (self.theta_i, self.theta_mes) if axis.needs_home()]
-        try:
-            for axis in axes:
-                axis.start_home()
-            for axis in axes:
-                axis.wait()
-        except BaseException:
-            self.stop()
-            raise
-
-    def identify(self) -> str:
-        """Return what both drives say of themselves."""
-        return "; ".join(f"{name}: {text}" for name, text in self._descriptions.items())
-
-    def stop(self) -> None:
-        """Stop both axes, the second even if the first cannot be reached; any thread, any time."""
-        try:
-            self.theta_i.stop()
-        finally:
-            self.theta_mes.stop()
-
-    def close(self) -> None:
-        """Release the line; motors keep standing, powered or not as their drives are configured."""
-        self._line.close()

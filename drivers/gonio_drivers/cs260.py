@@ -17,7 +17,7 @@ from gonio.errors import DeviceError, RefusedError
 from gonio.rig import SIMULATED, Context
 from pydantic import Field, model_validator
 
-from gonio_drivers.lines import Line, open_line
+from gonio_drivers.lines import Line, connecting, open_line
 
 _REAL_REPLY_S = 2.0
 _SLACK = 3.0  # a motion may take so many times as long as the configuration says
@@ -66,8 +66,8 @@ class CS260Config(Strict):
             for first, second in itertools.pairwise(bands):
                 if second.range_nm[0] != first.range_nm[1]:
                     raise ValueError(
-                        f"{what} {second.number} begins at {second.range_nm[0]:g} nm, {what} {first.number} ends "
-                        f"at {first.range_nm[1]:g} nm; list them in ascending order with ranges that meet"
+                        f"{what} {second.number} begins at {second.range_nm[0]:g} nm, {what} {first.number} "
+                        f"ends at {first.range_nm[1]:g} nm; list them ascending, with ranges that meet"
                     )
         return self
 
@@ -266,8 +266,5 @@ def open_cs260(config: CS260Config, context: Context) -> CS260:
         The instrument does not answer.
     """
     line = open_line("monochromator", config.address, context, baudrate=config.baudrate)
-    try:
+    with connecting(line):
         return CS260(config, context, line)
-    except BaseException:
-        line.close()
-        raise

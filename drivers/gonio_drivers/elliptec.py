@@ -16,7 +16,7 @@ from gonio.errors import DeviceError, MotionError
 from gonio.rig import Context, Driver, PolarizerConfig
 from pydantic import Field
 
-from gonio_drivers.lines import Line, NoReply, open_line
+from gonio_drivers.lines import Line, NoReply, connecting, open_line
 
 _MOVE_S = 5.0  # instrument seconds: a full turn with friction takes 2 to 3
 _REAL_MOVE_S = 2.0  # at least so much real time, whatever the simulated clock
@@ -90,7 +90,7 @@ class ElliptecRotator:
         if not self._is_at(here_deg, target_deg):
             raise MotionError(
                 self._device,
-                f"stands at {here_deg:.2f} deg instead of {target_deg:g} +- {self._config.tolerance_deg:g} deg"
+                f"is at {here_deg:.2f} deg instead of {target_deg:g} +- {self._config.tolerance_deg:g} deg"
                 f" ({polarization.upper()})",
                 "check that it turns freely, then repeat",
             )
@@ -208,11 +208,8 @@ def open_polarizer(config: ElliptecConfig, context: Context) -> ElliptecRotator:
         The module does not answer, is another one, or does not turn.
     """
     line = open_line("polarizer", config.address, context, baudrate=config.baudrate)
-    try:
+    with connecting(line):
         return ElliptecRotator(config, context, line)
-    except BaseException:
-        line.close()
-        raise
 
 
 driver = Driver("polarizer", ElliptecConfig, open_polarizer)

@@ -180,7 +180,7 @@ class Line:
         )
 
     def damaged(self, reply: bytes, why: str) -> ReplyError:
-        """Return the error for a reply that answers nothing that was asked; the line is in doubt from here."""
+        """Return the error for a reply that answers nothing that was asked; the line is in doubt now."""
         self._in_doubt = True
         self.statistics.damaged += 1
         return ReplyError(
@@ -246,6 +246,23 @@ class Line:
             f"the connection was lost ({error})",
             "check cable and power, then start again; a scan goes on with --resume",
         )
+
+
+@contextmanager
+def connecting(line: Line) -> Iterator[None]:
+    """Close the line if making the first contact fails; silence or nonsense there is a `ConnectionFailed`."""
+    try:
+        yield
+    except ReplyError as error:
+        line.close()
+        raise ConnectionFailed(
+            error.device,
+            error.fault,
+            "check that the right device is at this address, switched on, and set to this baud rate",
+        ) from None
+    except BaseException:
+        line.close()
+        raise
 
 
 def open_line(

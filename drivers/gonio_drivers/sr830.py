@@ -19,7 +19,7 @@ from gonio.errors import DeviceError
 from gonio.rig import SIMULATED, Context
 from pydantic import model_validator
 
-from gonio_drivers.lines import Line, open_line
+from gonio_drivers.lines import Line, connecting, open_line
 
 FULL_SCALE_V = tuple(
     mantissa * 10.0**decade
@@ -66,8 +66,8 @@ class SR830Config(Strict):
         if _index(TIME_CONSTANT_S, self.time_constant_s) is None:
             near = min(TIME_CONSTANT_S, key=lambda t: abs(t - self.time_constant_s))
             raise ValueError(
-                f"lockin.time_constant_s = {self.time_constant_s:g} s: the instrument has 1 and 3 times powers "
-                f"of ten; the nearest is {near:g}"
+                f"lockin.time_constant_s = {self.time_constant_s:g} s: the instrument has 1 and 3 times "
+                f"powers of ten; the nearest is {near:g}"
             )
         if self.smallest_range_v > FULL_SCALE_V[-1]:
             raise ValueError(
@@ -233,8 +233,5 @@ def open_sr830(config: SR830Config, context: Context) -> SR830:
         The instrument does not answer, is another one, or does not take a setting.
     """
     line = open_line("lockin", config.address, context, baudrate=config.baudrate)
-    try:
+    with connecting(line):
         return SR830(config, context, line)
-    except BaseException:
-        line.close()
-        raise

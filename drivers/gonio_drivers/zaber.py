@@ -14,8 +14,10 @@ from gonio.errors import DeviceError
 from gonio.rig import Context, Driver, StageConfig
 from pydantic import Field
 
-from gonio_drivers.axis import DriveState, MotorAxis, MotorConfig, MotorStage
-from gonio_drivers.lines import open_line
+from gonio_drivers.axis import MotorAxis
+from gonio_drivers.drive import DriveState, MotorConfig
+from gonio_drivers.lines import connecting, open_line
+from gonio_drivers.stage import MotorStage
 from gonio_drivers.zaber_protocol import ZaberLine
 
 # Units of the settings maxspeed and accel (ASCII Protocol Manual): 1.6384 per microstep/s, and that over 10
@@ -161,7 +163,7 @@ def open_stage(config: ZaberStageConfig, context: Context) -> MotorStage:
     line = ZaberLine(
         open_line("stage", config.address, context, baudrate=config.baudrate), checksums=config.checksums
     )
-    try:
+    with connecting(line.line):
         drives = {
             name: ZaberDrive(line, name, table)
             for name, table in (("theta_i", config.theta_i), ("theta_mes", config.theta_mes))
@@ -173,9 +175,6 @@ def open_stage(config: ZaberStageConfig, context: Context) -> MotorStage:
             descriptions={name: drive.describe() for name, drive in drives.items()},
         )
         stage.home_where_needed()
-    except BaseException:
-        line.line.close()
-        raise
     return stage
 
 
