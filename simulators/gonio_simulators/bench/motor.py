@@ -2,8 +2,8 @@
 
 The motor shaft stands at `q` steps, the arm behind the gear's lost motion `b` at `p` steps.  While the
 angle falls, the shaft takes the arm along at ``p = q``; while it rises, it first takes up the lost motion and
-the arm stays `b` behind.  The home routine ends with a falling angle, so the counter is true for targets approached
-from above and `backlash_deg` off for those approached from below.
+the arm stays `b` behind.  The home routine ends with a falling angle, so the counter is true for targets
+approached from above and `backlash_deg` off for those approached from below.
 
 The switches sit at the arm.  Angles are ``zero_deg + p / steps_per_deg``.
 """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -61,10 +62,7 @@ def lobe_above_horizon(theta_i_deg: float, alpha: float) -> float:
     whole = float(1.0 - math.sin(theta_i) ** (alpha + 1.0))
     if theta_i == 0:
         return 1.0
-    y: FloatArray
-    w: FloatArray
-    y, w = np.polynomial.legendre.leggauss(HEMISPHERE_NODES)
-    y, w = 0.5 * (1.0 + y), 0.5 * w
+    y, w = _unit_rule()
     # nodes crowd at both ends: a square root at the first whole ring, cos^alpha at the last
     share = y**4 * (35.0 - 84.0 * y + 70.0 * y**2 - 20.0 * y**3)
     slope = 140.0 * (y * (1.0 - y)) ** 3
@@ -73,6 +71,13 @@ def lobe_above_horizon(theta_i_deg: float, alpha: float) -> float:
         part = np.arccos(np.clip(-1.0 / (np.tan(theta) * math.tan(theta_i)), -1.0, 1.0)) / math.pi
     ring = (alpha + 1.0) * np.sin(theta) * np.maximum(np.cos(theta), 0.0) ** alpha
     return whole + float(np.sum(w * slope * theta_i * ring * part))
+
+
+@lru_cache(maxsize=1)
+def _unit_rule() -> tuple[FloatArray, FloatArray]:
+    """Gauss-Legendre nodes and weights on 0...1."""
+    x, w = np.polynomial.legendre.leggauss(HEMISPHERE_NODES)
+    return 0.5 * (1.0 + x), 0.5 * w
 
 
 def hemispherical(
