@@ -45,6 +45,13 @@ def main(argv: list[str] | None = None) -> int:
         return 1
     except KeyboardInterrupt:
         return 0
+    except BrokenPipeError:
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  # the exit flushes it once more
+        print(
+            "standard output was closed before the addresses were printed; read it to the end",
+            file=sys.stderr,
+        )
+        return 1
     return 0
 
 
@@ -141,8 +148,13 @@ def _stop_on_signals(loop: asyncio.AbstractEventLoop, stop: asyncio.Event) -> No
     for number in (signal.SIGINT, signal.SIGTERM):
         try:
             loop.add_signal_handler(number, stop.set)
-        except NotImplementedError:  # Windows
+        except NotImplementedError:  # Windows, which looks at signals only between two waits of the loop
             signal.signal(number, lambda *_: loop.call_soon_threadsafe(stop.set))
+            _tick(loop)
+
+
+def _tick(loop: asyncio.AbstractEventLoop) -> None:
+    loop.call_later(0.2, _tick, loop)
 
 
 def _wait_for_end_of_input(loop: asyncio.AbstractEventLoop, stop: asyncio.Event) -> None:

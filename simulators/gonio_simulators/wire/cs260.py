@@ -300,7 +300,7 @@ class CornerstoneConversation:
     def _begin(self, statement: str) -> bytes:
         device = self._device
         response = device.carry_out(statement)
-        reply = f"{response}\r\n".encode("ascii") if response else b""
+        reply = f"{response}\r\n".encode("ascii", "replace") if response else b""
         if device.handshake:
             if device.has_error:
                 return reply + device.take_handshake()  # reported at once, without waiting for the mechanics

@@ -46,6 +46,9 @@ class _StageTable(_Table):
 class _DeviceTable(_Table):
     driver: str
     address: str = "simulated"
+
+
+class _PolarizerTable(_DeviceTable):
     device: Annotated[str, Field(pattern="^[0-9A-F]$")] = "0"
 
 
@@ -58,7 +61,7 @@ class RigPorts(_Table):
     """What the rig file says of lines."""
 
     stage: _StageTable
-    polarizer: _DeviceTable
+    polarizer: _PolarizerTable
     spectrometer: _SpectrometerTable
 
 

@@ -50,7 +50,7 @@ class RotaryStage:
         self._serial = serial
         self._offset = 0  # `set pos` renames where the counter stands
         self._interrupted = False
-        self._had_reference = False  # before the homing that runs: the old one holds until the new one is there
+        self._had_reference = False  # before the homing that runs: the old one holds meanwhile
         self._was_moving = False
         low, high = _travel_steps(motor, limits_deg)
         self._limit_min = min(0, low)

@@ -10,6 +10,7 @@ The checksum CC is the two's complement of the byte sum between the lead charact
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +29,7 @@ def checksum(text: str) -> int:
     return -sum(text.encode("ascii", "replace")) & 0xFF
 
 
+@lru_cache(maxsize=1024)  # a poll is the same line again and again, with one of 100 message ids
 def parse_request(line: bytes) -> Request | None:
     """Return the command in a received line (without its terminator), or None if a device would ignore it.
 

@@ -39,8 +39,10 @@ def test_zaber_motion_over_tcp(simulator) -> None:
         assert 14.0 < 180 - theta_mes.get_position() / STEPS_PER_DEG < 15.0
 
 
-@pytest.mark.parametrize(("framing", "framer"), [("rtu", FramerType.RTU), ("tcp", FramerType.SOCKET)])
-@pytest.mark.parametrize("word_order", ["big", "little"])
+@pytest.mark.parametrize(
+    ("framing", "framer", "word_order"),
+    [("rtu", FramerType.RTU, "big"), ("tcp", FramerType.SOCKET, "little")],
+)
 def test_pymodbus_over_tcp(simulator, rig_file, framing: str, framer: FramerType, word_order: str) -> None:
     rig = rig_file(stage="applied-motion", framing=framing, word_order=word_order)
     with simulator(str(rig), "--clock-speed", "5000") as sim:
