@@ -279,7 +279,15 @@ def open_line(
     ------
     ConnectionFailed
         The address cannot be opened.
+    ConfigError
+        The log cannot be written.
     """
-    port = open_port(role, address, baudrate=baudrate)
     log = WireLog(context.wire_log, role, address, context.clock) if context.wire_log is not None else None
+    try:
+        port = open_port(role, address, baudrate=baudrate)
+    except BaseException as error:
+        if log is not None:
+            log.note(str(error))
+            log.close()
+        raise
     return Line(port, role, address, log, reply_timeout_s)

@@ -35,7 +35,7 @@ TIME_CONSTANT_S = tuple(mantissa * 10.0**decade for decade in range(-5, 5) for m
 SLOPES_DB_OCT = (6, 12, 18, 24)
 """Slope of ``OFSL i``; each 6 dB/octave is one more low-pass of the same time constant."""
 
-SPACING_TIME_CONSTANTS = {6: 3.0, 12: 4.8, 18: 6.3, 24: 7.7}
+SPACING_TIME_CONSTANTS = {6: 3.0, 12: 4.8, 18: 6.0, 24: 7.0}
 """Distance of readings that are nearly independent: the noise behind the filter is then correlated by at most
 5 %.
 

@@ -1,0 +1,130 @@
+"""The SR830: exact bytes, tables against the manual, statistics of the filter against its closed form."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from gonio.errors import DeviceError, ReplyError
+from pydantic import ValidationError
+from scipy.integrate import quad
+
+from gonio_drivers.sr830 import FULL_SCALE_V, SPACING_TIME_CONSTANTS, SR830, TIME_CONSTANT_S, SR830Config
+
+from .conftest import SILENCE
+
+CONFIG = SR830Config(driver="sr830")
+IDENTITY = b"Stanford_Research_Systems,SR830,s/n12345,ver1.07\r"
+IDN = (b"*IDN?\r", IDENTITY)
+CONNECT = (
+    (b"OUTX 0\r", b""),
+    IDN,
+    (b"OFLT 8;OFLT?\r", b"8\r"),
+    (b"OFSL 0;OFSL?\r", b"0\r"),
+    (b"SENS?\r", b"26\r"),
+)
+READ = b"SNAP? 1,2;LIAS?\r"
+
+
+@pytest.fixture
+def lockin(scripted, context):
+    def make(*exchanges, config=CONFIG, connect=CONNECT):
+        return SR830(config, context, scripted(*connect, *exchanges, role="lockin"))
+
+    return make
+
+
+def test_tables_of_the_manual():
+    assert len(FULL_SCALE_V) == 27
+    assert FULL_SCALE_V[0] == pytest.approx(2e-9)
+    assert FULL_SCALE_V[17] == pytest.approx(1e-3)
+    assert FULL_SCALE_V[26] == pytest.approx(1.0)
+    assert len(TIME_CONSTANT_S) == 20
+    assert [TIME_CONSTANT_S[i] for i in (0, 8, 10, 19)] == pytest.approx([10e-6, 0.1, 1.0, 30e3])
+
+
+def test_a_reading_is_one_exchange(lockin):
+    reading = lockin((READ, [b"1.25e-3,-4.", b"0e-6\r0\r"])).read()
+    assert (reading.x_v, reading.y_v, reading.overload) == (1.25e-3, -4.0e-6, False)
+
+
+@pytest.mark.parametrize(
+    ("bits", "overload"), [(0, False), (1, True), (2, True), (4, True), (8, False), (12, True)]
+)
+def test_overload_bits(lockin, bits, overload):
+    """Bit 3 is unlock of the reference, not an overload."""
+    assert lockin((READ, b"0.1,0\r%d\r" % bits)).read().overload is overload
+
+
+def test_range_is_set_and_verified_in_one_exchange_and_only_when_it_changes(lockin):
+    amplifier = lockin((b"SENS 20;SENS?\r", b"20\r"))
+    assert amplifier.set_range(20)
+    assert not amplifier.set_range(20)
+    amplifier = lockin((b"SENS 20;SENS?\r", b"26\r"))
+    with pytest.raises(DeviceError, match="was told SENS 20 and reads 26"):
+        amplifier.set_range(20)
+
+
+def test_phase_is_set_if_the_rig_file_gives_it(lockin):
+    connect = (*CONNECT[:4], (b"PHAS -30.50;PHAS?\r", b"-30.50\r"), CONNECT[4])
+    lockin(connect=connect, config=SR830Config(driver="sr830", phase_deg=-30.5))
+
+
+def test_another_instrument_is_refused(scripted, context):
+    line = scripted((b"OUTX 0\r", b""), (b"*IDN?\r", b"Stanford_Research_Systems,SR865,1,2\r"))
+    with pytest.raises(DeviceError, match="identified itself as .*SR865.*not as an SR830"):
+        SR830(CONFIG, context, line)
+
+
+def test_a_late_reading_is_never_the_next(lockin):
+    amplifier = lockin(
+        (READ, [SILENCE, b"1.0,0\r0\r"]),  # drained
+        IDN,
+        (READ, b"2.0,0\r0\r"),
+        (READ, []),
+        (b"*IDN?\r", b"3.0,0\r0\r"),  # later than quiet: not the identity
+        IDN,
+        (READ, b"4.0,0\r0\r"),
+    )
+    assert amplifier.read().x_v == 2.0
+    with pytest.raises(ReplyError, match="not its identity"):
+        amplifier.read()
+    assert amplifier.read().x_v == 4.0
+
+
+@pytest.mark.parametrize("reply", [b"1.0\r0\r", b"1.0,2.0,3.0\r0\r", b"one,two\r0\r", b"1.0,2.0\r\xff\r"])
+def test_damaged_readings_are_errors(lockin, reply):
+    with pytest.raises(ReplyError, match="numbers"):
+        lockin((READ, reply)).read()
+
+
+@pytest.mark.parametrize("time_constant_s", [0.2, 0.5, 5e-6, 1e6])
+def test_time_constants_the_instrument_has_not(time_constant_s):
+    with pytest.raises(ValidationError, match="powers of ten; the nearest is"):
+        SR830Config(driver="sr830", time_constant_s=time_constant_s)
+
+
+def autocorrelation(poles: int, x: float) -> float:
+    """Of white noise behind `poles` equal low-passes, from the spectrum 1/(1 + w2)^poles by quadrature."""
+    if x == 0:
+        return 1.0
+    total, _ = quad(lambda w: (1 + w * w) ** -poles, 0, np.inf)
+    if poles == 1:
+        return math.exp(-x)  # the quadrature converges badly for a spectrum that falls so slowly
+    part, _ = quad(lambda w: (1 + w * w) ** -poles, 0, np.inf, weight="cos", wvar=x)
+    return part / total
+
+
+@pytest.mark.parametrize(("slope", "spacing"), SPACING_TIME_CONSTANTS.items())
+def test_averaged_readings_are_nearly_independent(slope, spacing):
+    assert 0.04 < autocorrelation(slope // 6, spacing) <= 0.05
+
+
+@pytest.mark.parametrize("slope", [6, 12, 18, 24])
+def test_what_a_jump_leaves(slope):
+    """The step response of n low-passes leaves exp(-x) sum_{k<n} x^k/k! of the old signal."""
+    config = SR830Config(driver="sr830", slope_db_oct=slope)
+    x = config.jump_settle_s() / config.time_constant_s
+    left = math.exp(-x) * sum(x**k / math.factorial(k) for k in range(slope // 6))
+    assert left < 1e-4
