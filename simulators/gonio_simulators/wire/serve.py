@@ -13,7 +13,8 @@ from gonio.errors import ConfigError
 from pydantic import BaseModel, ConfigDict, Field
 
 from gonio_simulators.bench.bench import Bench
-from gonio_simulators.wire.applied_motion import AppliedMotionLine, Framing, WordOrder
+from gonio_simulators.wire.applied_motion import AppliedMotionLine, Framing
+from gonio_simulators.wire.applied_motion_drive import WordOrder
 from gonio_simulators.wire.cs260 import Cornerstone260
 from gonio_simulators.wire.elliptec import Elliptec
 from gonio_simulators.wire.lines import Instrument, PtyPort, TcpPort
