@@ -83,6 +83,8 @@ class Runner:
     ) -> None:
         self.path = Path(path)
         self.plan = plan
+        self._wavelength_nm = plan.wavelength_nm
+        self._n_positions = plan.n_positions
         self._rig = rig
         self._on_snapshot = on_snapshot
         self._on_record = on_record
@@ -133,7 +135,7 @@ class Runner:
 
     def snapshot(self) -> Snapshot:
         """Return where the scan stands now."""
-        step, m = self._step, len(self.plan.wavelength_nm)
+        step, m = self._step, len(self._wavelength_nm)
         at = step.position if isinstance(step, PositionStep) else None
         angles = self._angles_deg or (None, None)
         polarization = (
@@ -144,7 +146,7 @@ class Runner:
         return Snapshot(
             state=self._state,
             done=self._done,
-            total=self.plan.n_positions,
+            total=self._n_positions,
             readings_done=self._steps_done * m + self._reading,
             readings_total=len(self._steps) * m,
             elapsed_s=now_s,
@@ -153,7 +155,7 @@ class Runner:
             theta_i_deg=angles[0],
             theta_mes_deg=angles[1],
             polarization=polarization if polarization in ("s", "p") else None,
-            wavelength_nm=float(self.plan.wavelength_nm[min(self._reading, m - 1)]) if step else None,
+            wavelength_nm=float(self._wavelength_nm[min(self._reading, m - 1)]) if step else None,
             message=self._message,
         )
 
@@ -216,7 +218,7 @@ class Runner:
         if not self._continues:
             refuse_existing(self.path)
         self._steps = steps_of(self.plan, config)
-        needed = len(self._steps) * len(self.plan.wavelength_nm) * _BYTES_PER_READING + 1_000_000
+        needed = len(self._steps) * len(self._wavelength_nm) * _BYTES_PER_READING + 1_000_000
         free = shutil.disk_usage(self.path.absolute().parent).free
         if free < needed:
             raise StoreError(
@@ -243,7 +245,7 @@ class Runner:
                 plan_text=self.plan.to_toml(),
                 rig_text=self._rig.config.text,
                 rig=facts,
-                detector_index=self._rig.config.detector_for(self.plan.wavelength_nm),
+                detector_index=self._rig.config.detector_for(self._wavelength_nm),
                 devices=devices,
                 program=f"gonio {gonio.__version__}",
                 start_time=_now_iso(),
@@ -352,14 +354,14 @@ class Runner:
         self._raise_if_stopped()
         spectrometer = self._rig.spectrometer
         reading = spectrometer.measure_spectrum(
-            self.plan.wavelength_nm,
-            self._rig.config.detector_for(self.plan.wavelength_nm),
+            self._wavelength_nm,
+            self._rig.config.detector_for(self._wavelength_nm),
             beam=beam,
             averages=averages,
             on_reading=self._on_reading,
         )
         self._raise_if_stopped()  # a driver may have ended its pass early because of the stop
-        m = len(self.plan.wavelength_nm)
+        m = len(self._wavelength_nm)
         for name in ("wavelength_nm", "signal_v", "signal_sd_v", "time_s", "quality"):
             shape = np.shape(getattr(reading, name))
             if shape != (m,):

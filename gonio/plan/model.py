@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -234,12 +233,10 @@ class Plan(Strict):
                     )
                 seen[key] = number
 
-    @cached_property
+    @property
     def wavelength_nm(self) -> FloatArray:
-        """The wavelengths in measuring order, (m,) float64, ascending; not writable."""
-        wavelength_nm = np.concatenate([entry.values() for entry in self.wavelengths])
-        wavelength_nm.flags.writeable = False
-        return wavelength_nm
+        """The wavelengths in measuring order, (m,) float64, ascending."""
+        return np.concatenate([entry.values() for entry in self.wavelengths])
 
     @property
     def n_positions(self) -> int:
@@ -249,10 +246,6 @@ class Plan(Strict):
 
     def positions(self) -> tuple[Position, ...]:
         """Return every position in measuring order."""
-        return self._positions
-
-    @cached_property
-    def _positions(self) -> tuple[Position, ...]:
         found: list[Position] = []
         for sweep in self.sweeps:
             theta_mes_deg = sweep.theta_mes_deg.values_deg().tolist()

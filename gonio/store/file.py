@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from gonio.errors import StoreError
 from gonio.plan.model import Plan
@@ -180,7 +181,15 @@ class ScanFile:
                 ("polarizer_angle", np.array([record.polarizer_deg for record in records])),
                 ("averages", averages),
             ):
-                self._columns[name][rows] = values
+                self._put(name, rows, values)
+
+    def _put(self, name: str, rows: slice, values: NDArray[Any]) -> None:
+        """Write rows of a column by h5py's low level; the high one would cost as much as all the rest."""
+        dataset = self._columns[name].id
+        contiguous = np.ascontiguousarray(values, dtype=COLUMNS[name].dtype)
+        place = dataset.get_space()
+        place.select_hyperslab((rows.start,) + (0,) * (contiguous.ndim - 1), contiguous.shape)
+        dataset.write(h5py.h5s.create_simple(contiguous.shape), place, contiguous)
 
     def _write_reduced(self, rows: slice, reduced: Reduced) -> None:
         for name, values in (
@@ -191,7 +200,7 @@ class ScanFile:
             ("gain_uncertainty", reduced.gain_u),
             ("offset_uncertainty", reduced.offset_u),
         ):
-            self._columns[name][rows] = values
+            self._put(name, rows, values)
 
     def add_event(self, event: EventRecord) -> None:
         """Append an event."""

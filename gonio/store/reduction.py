@@ -117,6 +117,12 @@ class Series:
     def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return value and variance interpolated linearly to `time_s` (n, m), held beyond both ends."""
         k = len(self.time_s)
+        if k == 1:
+            nearest = (
+                np.broadcast_to(self.value_v, time_s.shape),
+                np.broadcast_to(self.variance, time_s.shape),
+            )
+            return nearest[0].copy(), nearest[1].copy()
         passed = np.zeros(time_s.shape, dtype=np.intp)
         for reference in self.time_s:
             passed += time_s >= reference
