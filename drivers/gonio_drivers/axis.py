@@ -313,9 +313,12 @@ class MotorAxis:
         """Decide from one poll whether the move goes on, has arrived or has failed."""
         here_deg = self._degrees(state.position_steps)
         aim_deg = move.legs_deg[move.leg]
-        if self._stop_asked.is_set() and not state.moving:
+        stop_asked = self._stop_asked.is_set()
+        if stop_asked and not state.moving:
             raise self._stopped(move, here_deg)
-        if state.fault is not None and not (move.homing and state.moving):
+        # While it decelerates after our own stop a drive may call the move interrupted, and while it searches for
+        # its reference it may meet a switch.
+        if state.fault is not None and not (state.moving and (stop_asked or move.homing)):
             if state.moving:
                 self._stop_quietly()
             raise MotionError(

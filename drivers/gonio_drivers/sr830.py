@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Literal, Self
 
 from gonio.config import Count, Number, Positive, Strict
-from gonio.errors import DeviceError
+from gonio.errors import ConnectionFailed, DeviceError
 from gonio.rig import SIMULATED, Context
 from pydantic import model_validator
 
@@ -161,7 +161,7 @@ class SR830:
     def _identified(self) -> str:
         (answer,) = self._line.query(lambda: self._exchange("*IDN?", 1))
         if not _is_sr830(answer):
-            raise DeviceError(
+            raise ConnectionFailed(
                 self._line.device,
                 f"identified itself as '{answer}', not as an SR830",
                 "check the address of the lock-in in the rig file",
@@ -228,9 +228,9 @@ def open_sr830(config: SR830Config, context: Context) -> SR830:
     Raises
     ------
     ConnectionFailed
-        The address cannot be opened.
+        The address cannot be opened, or no SR830 answers there.
     DeviceError
-        The instrument does not answer, is another one, or does not take a setting.
+        The instrument does not take a setting.
     """
     line = open_line("lockin", config.address, context, baudrate=config.baudrate)
     with connecting(line):

@@ -1,4 +1,4 @@
-"""What an axis refuses, how it approaches, and what it takes for an arrival; the drive is a list of states."""
+"""What an axis refuses, how it approaches, and what it takes for an arrival; on a motor of memory."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def make(config: MotorConfig, motor: Motor, name: str = "theta_mes") -> MotorAxi
     return MotorAxis(name, config, motor, Context("test", Clock(speed=1e6)))
 
 
-# -- approach -----------------------------------------------------------------------------------------------------
+# -- approach ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_where_there_is_room_the_last_motion_is_always_towards_zero(from_deg, ta
     assert last * (-1 if target_deg < 0 else 1) <= -backlash_deg * (1 - 1e-6) + 1e-12
 
 
-# -- refusals -----------------------------------------------------------------------------------------------------
+# -- refusals ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -166,7 +166,7 @@ def test_start_while_moving_is_an_error():
         axis.start(40.0)
 
 
-# -- arrival ------------------------------------------------------------------------------------------------------
+# -- arrival -------------------------------------------------------------------------
 
 
 def test_move_in_two_legs_with_the_sign_of_the_scale():
@@ -221,7 +221,7 @@ def test_a_move_without_an_end_is_stopped(monkeypatch):
     motor = Motor(polls=10**9)
     axis = make(PLAIN, motor)
     axis.start(30.0)
-    with pytest.raises(MotionError, match="still moving at 0.000 deg, long after it was due at 30 deg"):
+    with pytest.raises(MotionError, match=r"still moving at 0\.000 deg, long after it was due at 30 deg"):
         axis.wait()
     assert motor.log == ["move 30000", "stop"]
 
@@ -276,7 +276,7 @@ def test_home_needs_a_reference_afterwards():
         axis.home()
 
 
-# -- stop ---------------------------------------------------------------------------------------------------------
+# -- stop ----------------------------------------------------------------------------
 
 
 def test_stop_from_another_thread_ends_the_wait():
@@ -331,7 +331,7 @@ def test_stop_while_idle_is_harmless_and_the_next_move_goes():
     assert axis.wait() == 30.0
 
 
-# -- both axes ----------------------------------------------------------------------------------------------------
+# -- both axes -----------------------------------------------------------------------
 
 
 def stage_of(*motors: Motor) -> MotorStage:

@@ -161,7 +161,7 @@ def test_exceptions_in_words(scripted, code, words):
         line.read(1, 0, 2)
 
 
-# -- the drive ------------------------------------------------------------------------------------------------------
+# -- the drive -----------------------------------------------------------------------
 
 CONFIG = AppliedMotionAxisConfig(
     device=1, steps_per_deg=4000.0, limits_deg=(0.0, 90.0), speed_deg_s=20.0, acceleration_deg_s2=100.0

@@ -73,7 +73,7 @@ def test_phase_is_set_if_the_rig_file_gives_it(lockin):
 
 def test_another_instrument_is_refused(scripted, context):
     line = scripted((b"OUTX 0\r", b""), (b"*IDN?\r", b"Stanford_Research_Systems,SR865,1,2\r"))
-    with pytest.raises(DeviceError, match="identified itself as .*SR865.*not as an SR830"):
+    with pytest.raises(DeviceError, match=r"identified itself as .*SR865.*not as an SR830"):
         SR830(CONFIG, context, line)
 
 

@@ -65,7 +65,7 @@ def test_refused_connection_is_one_message(server):
     "address", ["socket://localhost", "socket://:0x", "socket://127.0.0.1:99999", "nonsense://x"]
 )
 def test_malformed_address(address):
-    with pytest.raises(ConnectionFailed, match="malformed .* write it as"):
+    with pytest.raises(ConnectionFailed, match=r"malformed .* write it as"):
         open_port("stage", address, baudrate=9600)
 
 

@@ -14,7 +14,7 @@ from .conftest import SILENCE
 CONFIG = ZaberAxisConfig(
     device=1, steps_per_deg=-12800.0 / 3, limits_deg=(0.0, 180.0), speed_deg_s=20.0, acceleration_deg_s2=100.0
 )
-# 20 deg/s = 85 333.3 microsteps/s; x 1.6384 = 139 810; 100 deg/s2 = 426 666.7 microsteps/s2; x 1.6384e-4 = 69.9
+# 20 deg/s = 85 333.3 microsteps/s, x 1.6384 = 139 810; 100 deg/s2 = 426 666.7, x 1.6384e-4 = 69.9
 CONNECT = (
     (b"/1 1 01 set maxspeed 139810\n", b"@01 1 01 OK IDLE -- 0\r\n"),
     (b"/1 1 02 get maxspeed\n", b"@01 1 02 OK IDLE -- 139810\r\n"),
