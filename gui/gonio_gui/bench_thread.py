@@ -33,7 +33,6 @@ class Connected:
     """Every device answers; `devices` holds what each says of itself, by role."""
 
     devices: dict[str, str]
-    clock_speed: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,7 +222,7 @@ class BenchThread:
                 return  # the message is all there is to say
             raise
         self._rig = rig
-        self.outbox.put(Connected(devices, rig.clock.speed))
+        self.outbox.put(Connected(devices))
         self._poll = True
         self._read_axes()
 

@@ -26,6 +26,14 @@ STOP_STYLE = (
 )
 
 
+START_STYLE = (
+    "QPushButton { background: #0b5cad; color: white; font-weight: bold; border: none; border-radius: 4px; }"
+    "QPushButton:hover { background: #1a6dc0; } QPushButton:pressed { background: #084a8c; }"
+    "QPushButton:focus { border: 2px solid palette(text); }"
+    "QPushButton:disabled { background: transparent; color: #85898f; border: 1px solid #85898f; }"
+)
+
+
 class Controls(QWidget):
     """Start or resume, pause or continue, stop, and the button that stops all motion."""
 
@@ -38,6 +46,7 @@ class Controls(QWidget):
         super().__init__(parent)
         self.start = QPushButton("Start scan")
         self.start.setDefault(True)
+        self.start.setStyleSheet(START_STYLE)
         self.pause = QPushButton("Pause")
         self.stop = QPushButton("Stop scan")
         self.stop_motion = QPushButton("STOP MOTION (Esc)")
@@ -127,7 +136,8 @@ def _progress(model: Model) -> str:
 
 def time_text(model: Model) -> str:
     """Return elapsed and left, in the user's seconds, and in the bench's where its clock runs faster."""
-    fast = model.clock_speed != 1.0
+    speed = model.rig.clock_speed()
+    fast = speed != 1.0
     whose = " of bench time" if fast else ""
     snapshot = model.snapshot
     if snapshot is None or not model.phase.busy:
@@ -138,8 +148,8 @@ def time_text(model: Model) -> str:
         return f"estimated {readable_duration(model.duration_s)}{whose}"
     if model.phase in {Phase.STARTING, Phase.STOPPING}:
         return ""
-    text = f"{readable_duration(snapshot.elapsed_s / model.clock_speed)} elapsed"
-    text += f"   ·   about {readable_duration(snapshot.left_s / model.clock_speed)} left"
+    text = f"{readable_duration(snapshot.elapsed_s / speed)} elapsed"
+    text += f"   ·   about {readable_duration(snapshot.left_s / speed)} left"
     if fast:
         text += f" ({readable_duration(snapshot.left_s)}{whose})"
     return text

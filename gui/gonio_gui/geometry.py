@@ -16,12 +16,23 @@ from gonio.plan import Plan
 from gonio.rig import RigConfig
 from numpy.typing import NDArray
 from PySide6.QtCore import QPointF, QRectF, Qt
-from PySide6.QtGui import QBrush, QColor, QPainter, QPaintEvent, QPen, QPixmap, QPolygonF, QResizeEvent
+from PySide6.QtGui import (
+    QBrush,
+    QColor,
+    QPainter,
+    QPainterPath,
+    QPaintEvent,
+    QPen,
+    QPixmap,
+    QPolygonF,
+    QResizeEvent,
+)
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from gonio_gui.theme import LIGHT, Theme, translucent
 
 INNER_RING, OUTER_RING = 0.46, 0.90  # of the drawing's radius
+DOT = 2.4  # radius of a planned position, pixels
 MAX_DOTS_PER_RING = 180  # more would touch each other; the ring is then drawn as every k-th
 
 
@@ -62,8 +73,18 @@ class GeometryView(QWidget):
 
     def set_progress(self, measured: NDArray[np.bool_], now: int | None) -> None:
         """Mark the positions that are measured, and the one that is being measured."""
-        if now != self._now or np.count_nonzero(measured) != np.count_nonzero(self._measured):
-            self._measured, self._now = measured.copy(), now
+        fresh = np.flatnonzero(measured != self._measured)
+        if now == self._now and len(fresh) == 0:
+            return
+        self._measured, self._now = measured.copy(), now
+        if self._still is not None and bool(measured[fresh].all()):
+            # a measured dot covers the hollow one: nothing else of the still picture changes
+            changed = set(fresh.tolist())
+            with QPainter(self._still) as still:
+                still.setRenderHint(QPainter.RenderHint.Antialiasing)
+                self._draw_dots(still, [dot for dot in self._dots if dot[0] in changed])
+            self.update()
+        else:
             self._repaint_all()
 
     def set_axes(self, theta_i_deg: float, theta_mes_deg: float) -> None:
@@ -73,17 +94,16 @@ class GeometryView(QWidget):
             self.update()
 
     def states(self) -> dict[str, int]:
-        """Return how many positions are drawn in each state."""
-        found = {"measured": 0, "now": 0, "to come": 0, "refused": 0}
-        for index, *_ in self._dots:
-            found[self._state(index)] += 1
-        return found
+        """Return how many positions are in each state, also those that a thinned ring does not show."""
+        refused, measured = len(self._refused), int(np.count_nonzero(self._measured))
+        # the position that is measured now may have been finished this moment
+        now = int(self._now is not None and not self._measured[self._now])
+        to_come = len(self._measured) - refused - measured - now
+        return {"measured": measured, "now": now, "to come": to_come, "refused": refused}
 
-    def _state(self, index: int) -> str:
+    def _lasting_state(self, index: int) -> str:
         if index in self._refused:
             return "refused"
-        if index == self._now:
-            return "now"
         return "measured" if self._measured[index] else "to come"
 
     def _repaint_all(self) -> None:
@@ -112,8 +132,9 @@ class GeometryView(QWidget):
 
     def _frame(self) -> tuple[QPointF, float]:
         """Return the rotation axis in pixels and the drawing's radius."""
-        radius = max(min((self.width() - 110) / 2.0, self.height() - 92.0), 40.0)
-        return QPointF(self.width() / 2.0, 26.0 + radius + (self.height() - 92.0 - radius) / 2.0), radius
+        radius = max(min((self.width() - 120) / 2.0, (self.height() - 84.0) / 1.27), 40.0)
+        spare = self.height() - 84.0 - 1.27 * radius
+        return QPointF(self.width() / 2.0, 42.0 + radius + spare / 2.0), radius
 
     def _at(self, theta_deg: float, distance: float) -> QPointF:
         centre, radius = self._frame()
@@ -136,16 +157,17 @@ class GeometryView(QWidget):
             painter.drawPie(box, start, span)
             painter.setPen(QColor(theme.danger))
             self._write(
-                painter, centre + QPointF(-radius, 0.27 * radius + 16.0), f"blind zone ±{zone:g}°", "left"
+                painter,
+                centre + QPointF(-0.93 * radius, 0.30 * radius + 4.0),
+                f"blind zone ±{zone:g}°",
+                "left",
             )
         self._draw_beam(painter)
-        for index, ring, theta_mes, number in self._dots:
-            self._draw_dot(painter, self._state(index), self._at(theta_mes, ring), number)
+        self._draw_dots(painter, self._dots)
         for ring, theta_i, number in self._rings:
             painter.setPen(QColor(theme.cycle[number % len(theme.cycle)]))
             last = max((t for _, r, t, n in self._dots if n == number), default=0.0)
             self._write(painter, self._at(last, ring) + self._along(last) * 15.0, f"{theta_i:g}°", "middle")
-        self._draw_legend(painter)
 
     def _along(self, theta_deg: float) -> QPointF:
         """Return the unit vector of growing angle."""
@@ -188,6 +210,21 @@ class GeometryView(QWidget):
         painter.setPen(QColor(theme.ground))
         self._write(painter, source + QPointF(-20, 0), "source")
 
+    def _draw_dots(self, painter: QPainter, dots: Sequence[tuple[int, float, float, int]]) -> None:
+        """Draw dots, all of one state and colour at once: a path costs less than its circles one by one."""
+        paths: dict[tuple[str, int], QPainterPath] = {}
+        for index, ring, theta_mes, number in dots:
+            state, at = self._lasting_state(index), self._at(theta_mes, ring)
+            if state == "refused":
+                self._draw_dot(painter, state, at, number)
+            else:
+                paths.setdefault((state, number), QPainterPath()).addEllipse(at, DOT, DOT)
+        for (state, number), path in paths.items():
+            colour = QColor(self._theme.cycle[number % len(self._theme.cycle)])
+            painter.setPen(QPen(colour, 1.0))
+            painter.setBrush(colour if state == "measured" else QColor(self._theme.ground))
+            painter.drawPath(path)
+
     def _draw_dot(self, painter: QPainter, state: str, at: QPointF, number: int) -> None:
         theme = self._theme
         colour = QColor(theme.cycle[number % len(theme.cycle)])
@@ -203,7 +240,7 @@ class GeometryView(QWidget):
             return
         painter.setPen(QPen(colour, 1.0))
         painter.setBrush(colour if state == "measured" else QColor(theme.ground))
-        painter.drawEllipse(at, 2.4, 2.4)
+        painter.drawEllipse(at, DOT, DOT)
 
     def _draw_moving(self, painter: QPainter) -> None:
         theme = self._theme
@@ -234,6 +271,10 @@ class GeometryView(QWidget):
         painter.setPen(Qt.PenStyle.NoPen)
         painter.setBrush(QColor(theme.body))
         painter.drawEllipse(centre, 4.0, 4.0)
+        for index, ring, theta_mes, number in self._dots:
+            if index == self._now:
+                self._draw_dot(painter, "now", self._at(theta_mes, ring), number)
+        self._draw_legend(painter)
 
     def _draw_legend(self, painter: QPainter) -> None:
         x, y = 14.0, self.height() - 13.0

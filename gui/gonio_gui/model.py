@@ -5,6 +5,7 @@ Messages of the bench's thread change it through `apply`; every panel draws from
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
 import enum
 import math
@@ -88,7 +89,6 @@ class Model:
         self.phase = Phase.OFFLINE
         self.rig = rig
         self.devices: dict[str, str] = {}
-        self.clock_speed = 1.0
         self.snapshot: Snapshot | None = None
         self.theta_i_deg = math.nan
         self.theta_mes_deg = math.nan
@@ -112,6 +112,13 @@ class Model:
             self.duration_s = estimate(plan, self.rig)
         except RefusedError:
             pass  # a wavelength without a detector: it stands in `refusals`
+
+    def begin(self, plan: Plan) -> None:
+        """Show an empty scan of a plan that the runner has accepted."""
+        if plan != self.plan:
+            self.set_plan(plan)
+        else:
+            self.live, self.snapshot = LiveScan(plan, self.rig), None
 
     def set_rig(self, rig: RigConfig) -> None:
         """Use another bench for the same plan."""
@@ -157,7 +164,7 @@ class Model:
             case EventRecord():
                 self.say(message.level, message.source, message.message)
             case Begun():
-                self.set_plan(message.plan)
+                self.begin(message.plan)
                 self.say("info", "scan", f"measuring '{message.plan.title}' into {message.path}")
             case Stored():
                 if self.live is not None:
@@ -178,6 +185,15 @@ class Model:
                 self.phase = Phase.CLOSED
 
     def _apply_snapshot(self, snapshot: Snapshot) -> None:
+        before = self.snapshot
+        if snapshot.wavelength_nm is None and snapshot.state is State.RUNNING and before is not None:
+            # between two steps nothing is being measured: what was stays in view, it does not flicker
+            snapshot = dataclasses.replace(
+                snapshot,
+                position=before.position,
+                polarization=before.polarization,
+                wavelength_nm=before.wavelength_nm,
+            )
         self.snapshot = snapshot
         if snapshot.theta_i_deg is not None and snapshot.theta_mes_deg is not None:
             self.theta_i_deg, self.theta_mes_deg = snapshot.theta_i_deg, snapshot.theta_mes_deg
@@ -191,7 +207,7 @@ class Model:
             self.phase = Phase.STOPPING
 
     def _apply_connected(self, message: Connected) -> None:
-        self.phase, self.devices, self.clock_speed = Phase.READY, message.devices, message.clock_speed
+        self.phase, self.devices = Phase.READY, message.devices
         self.banner = None
         for role, text in message.devices.items():
             self.say("info", role, text)

@@ -52,7 +52,7 @@ class Plots(QWidget):
         splitter.addWidget(upper)
         splitter.addWidget(self.spectrum)
         splitter.setChildrenCollapsible(False)
-        splitter.setSizes([300, 300])
+        splitter.setSizes([285, 430])
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.addWidget(splitter)
@@ -81,6 +81,7 @@ class Plots(QWidget):
         present = live.plan.polarization
         for name, plot in self.polar.items():
             plot.setVisible(name in present)
+            plot.prepare(live.incidences_deg)
         self.slider.setRange(0, len(live.wavelength_nm) - 1)
         self.slider.setValue(live.column_near(NANOMETRES_OF_INTEREST))
         self.spectrum.prepare(live.wavelength_nm.tolist(), live.detector_change_nm)
@@ -124,4 +125,6 @@ class Plots(QWidget):
             colour, mark = self._theme.cycle[number % len(self._theme.cycle)], MARKS[number % len(MARKS)]
             entries.append(f'<span style="color:{colour}">{mark}</span>&nbsp;{theta_i:g}°')
         more = " …" if len(self._live.incidences_deg) > 8 else ""
-        self.legend.setText("θ<sub>i</sub>: &nbsp;" + " &nbsp; ".join(entries) + more)
+        self.legend.setText(
+            "incidence θ<sub>i</sub> (mark on the circle): &nbsp;" + " &nbsp; ".join(entries) + more
+        )

@@ -59,4 +59,4 @@ class Readbacks(QWidget):
 def _degrees(angle_deg: float) -> str:
     if not math.isfinite(angle_deg):
         return "–"
-    return f"{round(angle_deg, 2) + 0.0:.2f}°"  # + 0.0: no "-0.00"
+    return f"{round(angle_deg, 2) + 0.0:.2f}°".replace("-", "−")  # + 0.0: no "-0.00"

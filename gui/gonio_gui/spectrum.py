@@ -32,6 +32,7 @@ class SpectrumPlot(QWidget):
         self._curve = pg.PlotDataItem(connect="finite")
         self._cursor = pg.InfiniteLine(angle=90)
         self._changes: list[Any] = []
+        self._prepared: tuple[object, object] | None = None
         self._plot.addItem(self._curve)
         self._plot.addItem(self._cursor, ignoreBounds=True)
         layout = QVBoxLayout(self)
@@ -72,6 +73,12 @@ class SpectrumPlot(QWidget):
 
     def prepare(self, wavelength_nm: Sequence[float], changes_nm: Sequence[float]) -> None:
         """Clear the curve and set the axis for a plan."""
+        self._curve.setData([], [])
+        self._caption.setText("Spectrum at the last position: nothing measured yet")
+        asked = (tuple(wavelength_nm), tuple(changes_nm))
+        if asked == self._prepared:
+            return
+        self._prepared = asked
         low, high = float(min(wavelength_nm)), float(max(wavelength_nm))
         margin = 0.02 * (high - low) or 10.0
         self._plot.setXRange(low - margin, high + margin, padding=0.0)
@@ -83,12 +90,10 @@ class SpectrumPlot(QWidget):
                 change_nm,
                 angle=90,
                 label=f"detector change, {change_nm:g} nm",
-                labelOpts={"position": 0.93, "anchors": [(0.0, 0.5), (0.0, 0.5)]},
+                labelOpts={"position": 0.06, "anchors": [(0.0, 0.5), (0.0, 0.5)]},
             )
             self._plot.addItem(line, ignoreBounds=True)
             self._changes.append(line)
-        self._curve.setData([], [])
-        self._caption.setText("Spectrum at the last position: nothing measured yet")
         self.set_theme(self._theme)
 
     def mark(self, wavelength_nm: float) -> None:
@@ -106,6 +111,6 @@ class SpectrumPlot(QWidget):
         finite = 100.0 * spectrum.r[np.isfinite(spectrum.r)]
         if len(finite):
             low, high = float(finite.min()), float(finite.max())
-            pad = 0.08 * (high - low) or 0.1 * abs(high) or 1e-6
+            pad = 0.08 * (high - min(low, 0.0)) or 1e-6
             # zero stays in view: a spectrum's level is what one looks for first
             self._plot.setYRange(min(0.0, low - pad), max(high + pad, 1e-9), padding=0.0)
