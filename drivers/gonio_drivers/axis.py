@@ -39,8 +39,9 @@ class _Deadline:
     real_s: float
 
     @classmethod
-    def after(cls, clock: Clock, duration_s: float, *, real_floor_s: float = _REAL_FLOOR_S) -> _Deadline:
-        return cls(clock.now_s() + duration_s, time.monotonic() + real_floor_s)
+    def after(cls, clock: Clock, duration_s: float, *, real_floor_s: float | None = None) -> _Deadline:
+        floor_s = _REAL_FLOOR_S if real_floor_s is None else real_floor_s
+        return cls(clock.now_s() + duration_s, time.monotonic() + floor_s)
 
     def passed(self, clock: Clock) -> bool:
         return clock.now_s() > self.instrument_s and time.monotonic() > self.real_s
@@ -316,8 +317,8 @@ class MotorAxis:
         stop_asked = self._stop_asked.is_set()
         if stop_asked and not state.moving:
             raise self._stopped(move, here_deg)
-        # While it decelerates after our own stop a drive may call the move interrupted, and while it searches for
-        # its reference it may meet a switch.
+        # While it decelerates after our own stop a drive may call the move interrupted, and while it searches
+        # for its reference it may meet a switch.
         if state.fault is not None and not (state.moving and (stop_asked or move.homing)):
             if state.moving:
                 self._stop_quietly()
