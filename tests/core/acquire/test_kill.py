@@ -82,10 +82,9 @@ def test_killed_at_random_instants_and_resumed_until_complete(memory: ModuleType
             pid = int(answers.readline())
             killed = kills < KILLS
             if killed:
-                time.sleep(0.4 * rng.random())
-                os.kill(
-                    pid, signal.SIGKILL
-                )  # not reaped by its parent before it answers, so it is still ours
+                wait_for_a_random_instant(path, rng)
+                os.kill(pid, signal.SIGKILL)
+            print("reap", file=orders, flush=True)
             status = int(answers.readline())
             assert status in ((0, -signal.SIGKILL) if killed else (0,))
             kills += status != 0
