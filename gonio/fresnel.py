@@ -24,7 +24,7 @@ from gonio.errors import GonioError
 FloatArray = NDArray[np.float64]
 Polarization = Literal["s", "p", "unpolarized"]
 RatioFunction = Callable[[ArrayLike, ArrayLike, Polarization], FloatArray]
-Amplitude = Callable[[FloatArray, FloatArray], FloatArray]
+Amplitude = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 
 
 def reflectance(n2: ArrayLike, theta_i_deg: ArrayLike, polarization: Polarization) -> FloatArray:
@@ -46,7 +46,7 @@ def reflectance(n2: ArrayLike, theta_i_deg: ArrayLike, polarization: Polarizatio
     """
     n, c = _checked(n2, theta_i_deg)
     contrast = (n - 1.0) * (n + 1.0)
-    return _mixed(lambda a: (contrast * a(n, c)) ** 2, polarization)
+    return _mixed(lambda a: a(n, c, contrast) ** 2, polarization)
 
 
 def reflectance_ratio(n2: ArrayLike, theta_i_deg: ArrayLike, polarization: Polarization) -> FloatArray:
@@ -55,7 +55,7 @@ def reflectance_ratio(n2: ArrayLike, theta_i_deg: ArrayLike, polarization: Polar
     Shapes, limits and errors as `reflectance`; ``R(0) = ((n2 - 1) / (n2 + 1))^2``.
     """
     n, c = _checked(n2, theta_i_deg)
-    return _mixed(lambda a: ((n + 1.0) ** 2 * a(n, c)) ** 2, polarization)
+    return _mixed(lambda a: a(n, c, (n + 1.0) ** 2) ** 2, polarization)
 
 
 def reflectance_ratio_dn2(n2: ArrayLike, theta_i_deg: ArrayLike, polarization: Polarization) -> FloatArray:
@@ -64,8 +64,8 @@ def reflectance_ratio_dn2(n2: ArrayLike, theta_i_deg: ArrayLike, polarization: P
     scale = (n + 1.0) ** 2
 
     def slope(amplitude: Amplitude) -> FloatArray:
-        a, da = amplitude(n, c), _AMPLITUDE_DN2[amplitude](n, c)
-        return 2.0 * scale * a * (2.0 * (n + 1.0) * a + scale * da)
+        derivative = _AMPLITUDE_DN2[amplitude]
+        return 2.0 * amplitude(n, c, scale) * (amplitude(n, c, 2.0 * (n + 1.0)) + derivative(n, c, scale))
 
     with np.errstate(divide="ignore", invalid="ignore"):
         return _mixed(slope, polarization)
@@ -102,31 +102,31 @@ def _checked(n2: ArrayLike, theta_i_deg: ArrayLike) -> tuple[FloatArray, FloatAr
     return n, cos_deg(theta)
 
 
-def _s_amplitude(n: FloatArray, c: FloatArray) -> FloatArray:
-    """Return ``-r_s / (n^2 - 1) = 1 / (c + q)^2``; any finite number where n = 1 at 90 degrees."""
+def _s_amplitude(n: FloatArray, c: FloatArray, factor: FloatArray) -> FloatArray:
+    """Return ``factor / (c + q)^2``, that is ``-factor r_s / (n^2 - 1)``; finite also where n = 1 at 90 degrees."""
     q2 = (n - 1.0) * (n + 1.0) + c**2  # n^2 - sin^2, equal to c^2 exactly at n = 1
     # the square is expanded so that c = 0 leaves exactly n^2 - 1, and R is exactly 1
     below = c**2 + 2.0 * c * np.sqrt(q2) + q2
-    return np.asarray(1.0 / np.where(below == 0.0, 1.0, below))
+    return np.asarray(factor / np.where(below == 0.0, 1.0, below))
 
 
-def _p_amplitude(n: FloatArray, c: FloatArray) -> FloatArray:
-    """Return ``r_p / (n^2 - 1) = ((n^2 + 1) c^2 - 1) / (n^2 c + q)^2``."""
+def _p_amplitude(n: FloatArray, c: FloatArray, factor: FloatArray) -> FloatArray:
+    """Return ``factor ((n^2 + 1) c^2 - 1) / (n^2 c + q)^2``, that is ``factor r_p / (n^2 - 1)``."""
     q2 = (n - 1.0) * (n + 1.0) + c**2
     below = (n**2 * c) ** 2 + 2.0 * n**2 * c * np.sqrt(q2) + q2
-    return np.asarray(((n**2 + 1.0) * c**2 - 1.0) / np.where(below == 0.0, 1.0, below))
+    return np.asarray(factor * ((n**2 + 1.0) * c**2 - 1.0) / np.where(below == 0.0, 1.0, below))
 
 
-def _s_amplitude_dn2(n: FloatArray, c: FloatArray) -> FloatArray:
+def _s_amplitude_dn2(n: FloatArray, c: FloatArray, factor: FloatArray) -> FloatArray:
     q = np.sqrt((n - 1.0) * (n + 1.0) + c**2)
-    return np.asarray(-2.0 * n / (q * (c + q) ** 3))
+    return np.asarray(-2.0 * factor * n / (q * (c + q) ** 3))
 
 
-def _p_amplitude_dn2(n: FloatArray, c: FloatArray) -> FloatArray:
+def _p_amplitude_dn2(n: FloatArray, c: FloatArray, factor: FloatArray) -> FloatArray:
     q = np.sqrt((n - 1.0) * (n + 1.0) + c**2)
     below = n**2 * c + q
     above = (n**2 + 1.0) * c**2 - 1.0
-    return np.asarray(2.0 * (n * c**2 - above * (2.0 * n * c + n / q) / below) / below**2)
+    return np.asarray(2.0 * factor * (n * c**2 - above * (2.0 * n * c + n / q) / below) / below**2)
 
 
 _AMPLITUDE_DN2: dict[Amplitude, Amplitude] = {_s_amplitude: _s_amplitude_dn2, _p_amplitude: _p_amplitude_dn2}

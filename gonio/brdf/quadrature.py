@@ -146,7 +146,8 @@ def band_integral_table(
     that are cut go through `band_integral`.
     """
     half_deg = np.rad2deg(half_width_rad)
-    cut = (np.abs(delta_deg) + half_deg >= 90.0) | (np.abs(theta_o_deg) + half_deg >= 90.0)
+    # cos_+^alpha is not smooth at its edge; 16 nodes need the edge well outside the band
+    cut = (np.abs(delta_deg) + half_deg >= 78.0) | (np.abs(theta_o_deg) + half_deg >= 90.0)
     # the lobe at the nearest edge of the band bounds the value; below exp(-60) it is left at zero
     nearest = np.deg2rad(np.minimum(np.maximum(np.abs(delta_deg) - half_deg, 0.0), 90.0))
     with np.errstate(divide="ignore"):

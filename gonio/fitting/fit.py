@@ -27,7 +27,7 @@ WeightMethod = Literal["auto", "r_sd", "none"]
 FEWEST_READINGS = 8
 """Readings a wavelength must have: four parameters and as many degrees of freedom for the noise."""
 
-_ROUNDS = 3  # of weights from residuals; the third changes the parameters by less than a hundredth of their se
+_ROUNDS = 2  # of weights from residuals; more change neither the parameters nor the coverage
 
 
 def fit(

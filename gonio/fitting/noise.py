@@ -52,29 +52,29 @@ def variance_function(
     level = np.maximum(np.abs(model), 1e-300)
     typical = np.sum(level * use) / max(int(np.sum(use)), 1)
     columns = np.stack([np.ones_like(level), level / typical, (level / typical) ** 2])  # (3, n, m)
-    pool = _pooling(detector_index)
-    variance = np.broadcast_to(_pooled_mean(squared_residual, use, pool), level.shape)
+    total, count = np.sum(squared_residual * use, axis=0), np.sum(use, axis=0).astype(np.float64)
+    pooled_mean = _pooled(total, detector_index) / np.maximum(_pooled(count, detector_index), 1.0)
+    variance = np.broadcast_to(pooled_mean, level.shape)
     variance = np.maximum(variance, _FLOOR * mean)
     for _ in range(3):
         near = use & (squared_residual < _FAR**2 * variance)
         weight = near / variance**2  # a squared residual varies as the square of the variance
         normal = np.einsum("anm,bnm,nm->mab", columns, columns, weight, optimize=True)
         right = np.einsum("anm,nm->ma", columns, weight * squared_residual, optimize=True)
-        c = _non_negative(np.einsum("km,mab->kab", pool, normal), pool @ right)
+        c = _non_negative(_pooled(normal, detector_index), _pooled(right, detector_index))
         variance = np.maximum(np.einsum("ma,anm->nm", c, columns), _FLOOR * mean)
     return np.asarray(variance)
 
 
-def _pooling(detector_index: NDArray[np.integer]) -> FloatArray:
-    """Return the (m, m) matrix of ones where residuals are pooled: near in order and of one detector."""
-    order = np.arange(len(detector_index))
+def _pooled(values: FloatArray, detector_index: NDArray[np.integer]) -> FloatArray:
+    """Return the sums (m, ...) over each wavelength's neighbours in order, as far as its detector reaches."""
     run = np.cumsum(np.concatenate([[0], np.diff(detector_index.astype(np.int64)) != 0]))
-    near = np.abs(order[:, None] - order) <= NEIGHBOURS
-    return np.asarray((near & (run[:, None] == run)).astype(np.float64))
-
-
-def _pooled_mean(squared_residual: FloatArray, use: NDArray[np.bool_], pool: FloatArray) -> FloatArray:
-    return np.asarray((pool @ np.sum(squared_residual * use, axis=0)) / np.maximum(pool @ np.sum(use, axis=0), 1.0))
+    result = values.copy()
+    for away in range(1, min(NEIGHBOURS, len(values) - 1) + 1):
+        same = (run[away:] == run[:-away]).reshape(-1, *[1] * (values.ndim - 1))
+        result[away:] += np.where(same, values[:-away], 0.0)
+        result[:-away] += np.where(same, values[away:], 0.0)
+    return result
 
 
 def _non_negative(normal: FloatArray, right: FloatArray) -> FloatArray:

@@ -36,7 +36,7 @@ def _of(
         parts.extend(_shape_notes(found, k))
         if rho_s < 0.0:
             parts.append(f"rho_s = {rho_s:.3g} is negative, unphysical: a dip where the lobe should be")
-        elif np.isfinite(rho_s) and rho_s > 1.0 and found.lower[k, 1] > 1.0:
+        elif np.isfinite(rho_s) and rho_s - 4.0 * found.se[k, 1] > 1.0:  # not by chance at one wavelength of many
             parts.append(f"rho_s = {rho_s:.3g} is above 1, unphysical: more light in the lobe than n2 lets reflect")
     if rho_d < 0.0:
         parts.append(f"rho_d = {rho_d:.3g} is negative, unphysical: look at the dark readings")
