@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -37,6 +38,12 @@ class Point:
     y_mm: float
 
 
+@lru_cache(maxsize=32)
+def _gauss(n: int) -> list[tuple[float, float]]:
+    nodes, weights = np.polynomial.legendre.leggauss(n)
+    return list(zip(nodes.tolist(), weights.tolist(), strict=True))
+
+
 def _rule(length: float, smallest: float, *, half: bool = False) -> list[tuple[float, float]]:
     """Gauss-Legendre (weight, offset) over ``-length/2...length/2``, weights adding to 1.
 
@@ -47,8 +54,7 @@ def _rule(length: float, smallest: float, *, half: bool = False) -> list[tuple[f
         return [(1.0, 0.0)]
     ratio = length / smallest
     n = 3 if ratio < 0.5 else min(MOST_NODES, 3 + math.ceil(2.0 * ratio))
-    nodes, weights = np.polynomial.legendre.leggauss(n)
-    rule = [(0.5 * w, 0.5 * length * x) for x, w in zip(nodes.tolist(), weights.tolist(), strict=True)]
+    rule = [(0.5 * w, 0.5 * length * x) for x, w in _gauss(n)]
     if not half:
         return rule
     tiny = 1e-12 * length

@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 from gonio_simulators.bench.config import BenchConfig
 from gonio_simulators.bench.footprint import Direction, directions, points
 from gonio_simulators.bench.fresnel import reflectances
-from gonio_simulators.bench.quadrature import View, diffuse_power, lobe_powers, view
+from gonio_simulators.bench.quadrature import diffuse_power, lobe_powers
 from gonio_simulators.bench.truth import Truth
+from gonio_simulators.bench.view import View, view
 
 FloatArray = NDArray[np.float64]
 
 TABLE_ERROR = 1e-9
-"""Relative to a table's largest integral; its last three Chebyshev coefficients are below a tenth of it."""
+"""Relative to a table's largest integral; its last three Chebyshev coefficients are below this."""
 
 MOST_COEFFICIENTS = 256
 POSITIONS_KEPT = 2048
@@ -68,12 +69,12 @@ class LobeTable:
         if low == high:
             self._coefficients = [float(self.direct(np.array([low]))[0])]
             return
-        n = 8
+        n = 10
         values = self._values(np.arange(n + 1), n)
         while n <= MOST_COEFFICIENTS:
             coefficients = _to_series(n) @ values
             size = float(np.max(np.abs(values)))
-            if float(np.max(np.abs(coefficients[-3:]))) <= 0.1 * TABLE_ERROR * size:
+            if float(np.max(np.abs(coefficients[-3:]))) <= TABLE_ERROR * size:
                 self._coefficients = coefficients.tolist()
                 return
             finer = np.empty(2 * n + 1)
@@ -82,10 +83,7 @@ class LobeTable:
 
     def direct(self, alphas: FloatArray) -> FloatArray:
         """Return the quadrature for each alpha, shape (n_alpha,)."""
-        total = np.zeros(len(alphas))
-        for weight, seen in self._views:
-            total += weight * lobe_powers(seen, alphas)
-        return total
+        return lobe_powers(self._views, alphas)
 
     def at(self, alpha: float) -> float:
         """Return the lobe integral."""
@@ -201,6 +199,6 @@ class Scattering:
                 if seen is not None:
                     views.append((spot.weight, seen))
             if direction is incident[0]:  # the same for all, as it does not know the mirror direction
-                diffuse = sum(w * diffuse_power(seen) for w, seen in views) * sum(d.weight for d in incident)
+                diffuse = diffuse_power(views) * sum(d.weight for d in incident)
             lobes.append(LobeTable(views, low, high))
         return Position(diffuse, tuple(incident), tuple(lobes))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import math
 from pathlib import Path
 
@@ -10,8 +11,9 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from gonio_simulators.bench.quadrature import diffuse_power, lobe_power, lobe_powers, view
+from gonio_simulators.bench.quadrature import diffuse_power, lobe_power, lobe_powers
 from gonio_simulators.bench.truth import lobe_above_horizon
+from gonio_simulators.bench.view import view
 
 WIDTH, HEIGHT, DISTANCE = 26.0, 18.0, 95.2353
 
@@ -118,7 +120,7 @@ def test_against_mpmath(alpha, theta_i_deg, theta_o_deg, point, tilt_deg) -> Non
     if seen is None:
         assert lobe == 0
         return
-    assert diffuse_power(seen) == pytest.approx(float(diffuse), rel=1e-11)
+    assert diffuse_power([(1.0, seen)]) == pytest.approx(float(diffuse), rel=1e-11)
     assert lobe_power(seen, alpha) == pytest.approx(float(lobe), rel=1e-9)
 
 
@@ -138,7 +140,7 @@ def test_whole_hemisphere_has_all_the_light(alpha: float, theta_i_deg: float) ->
         for theta_o_deg in (-90.0, 0.0, 90.0)
     ]
     seen = [s for s in strips if s is not None]
-    assert sum(diffuse_power(s) for s in seen) == pytest.approx(1.0, abs=1e-7)
+    assert sum(diffuse_power([(1.0, s)]) for s in seen) == pytest.approx(1.0, abs=1e-7)
     expected = lobe_above_horizon(theta_i_deg, alpha)
     assert sum(lobe_power(s, alpha) for s in seen) == pytest.approx(expected, abs=3e-7)
 
@@ -164,7 +166,7 @@ def test_diffuse_light_in_a_small_aperture() -> None:
         assert seen is not None
         solid_angle = 0.02 * 0.03 / 100.0**2
         expected = math.cos(math.radians(theta_o_deg)) / math.pi * solid_angle
-        assert diffuse_power(seen) == pytest.approx(expected, rel=1e-6)
+        assert diffuse_power([(1.0, seen)]) == pytest.approx(expected, rel=1e-6)
 
 
 def test_solid_angle_of_the_aperture_from_a_flat_lobe() -> None:
@@ -199,17 +201,26 @@ def test_behind_the_sample_and_behind_the_aperture_is_nothing() -> None:
     assert look(95.0, 0.0) is not None  # the rim of the aperture still sees the sample
 
 
-def test_exponents_share_nodes_without_losing_digits() -> None:
-    seen = view(
-        width_mm=WIDTH,
-        height_mm=HEIGHT,
-        distance_mm=DISTANCE,
-        theta_o_rad=math.radians(38.0),
-        point_mm=(0.4, 0.2),
-        mirror=in_plane_mirror(45.0),
-    )
-    assert seen is not None
-    alphas = np.geomspace(0.5, 1e6, 40)
-    together = lobe_powers(seen, alphas)
-    alone = np.array([lobe_power(seen, a) for a in alphas.tolist()])
-    np.testing.assert_allclose(together, alone, rtol=1e-10, atol=1e-250)
+def test_sharing_nodes_loses_no_digits() -> None:
+    views = []
+    for k, x_mm in enumerate((-9.0, -0.3, 0.0, 0.4, 12.0)):
+        seen = view(
+            width_mm=WIDTH,
+            height_mm=HEIGHT,
+            distance_mm=DISTANCE,
+            theta_o_rad=math.radians(-38.0),
+            point_mm=(x_mm, 0.2 * k),
+            mirror=in_plane_mirror(45.0),
+        )
+        assert seen is not None
+        views.append((1.0 + k, seen))
+    for alphas in (np.geomspace(0.01, 20.0, 30), np.geomspace(1.0, 1e6, 30)):
+        together = lobe_powers(views, alphas)
+        alone = sum(
+            weight * np.array([lobe_power(seen, a) for a in alphas.tolist()]) for weight, seen in views
+        )
+        np.testing.assert_allclose(together, alone, rtol=1e-9, atol=1e-30)
+    on_peak = [(w, dataclasses.replace(v, mirror=(0.05, 0.0, math.sqrt(1 - 0.05**2)))) for w, v in views]
+    alphas = np.geomspace(1.0, 1e6, 30)
+    alone = sum(w * np.array([lobe_power(v, a) for a in alphas.tolist()]) for w, v in on_peak)
+    np.testing.assert_allclose(lobe_powers(on_peak, alphas), alone, rtol=1e-10)

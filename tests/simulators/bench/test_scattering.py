@@ -95,7 +95,7 @@ def test_against_ray_tracing(
         sample=sample,
         divergence_deg=divergence_deg,
         aperture=aperture,
-        rays=1_000_000,
+        rays=400_000,
         seed=11,
     )
     assert position.diffuse == pytest.approx(diffuse, abs=4.5 * diffuse_se)
