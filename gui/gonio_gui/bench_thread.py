@@ -72,6 +72,7 @@ class ScanEnded:
     path: Path
     how: Literal["done", "stopped", "failed"]
     message: str
+    device_failed: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,13 +127,15 @@ class BenchThread:
 
     def pause(self) -> None:
         """Pause after the position being measured."""
-        if self._runner is not None:
-            self._runner.pause()
+        runner = self._runner
+        if runner is not None:
+            runner.pause()
 
     def resume(self) -> None:
         """Go on after a pause."""
-        if self._runner is not None:
-            self._runner.resume()
+        runner = self._runner
+        if runner is not None:
+            runner.resume()
 
     def stop_scan(self) -> None:
         """Stop the scan within a reading; it can be resumed."""
@@ -168,14 +171,16 @@ class BenchThread:
         threading.Thread(target=act, name="gonio-stop", daemon=True).start()
 
     def _stop_runner(self) -> None:
-        if self._runner is not None:
-            self._runner.stop()
+        runner = self._runner
+        if runner is not None:
+            runner.stop()
 
     def _stop_rig(self) -> None:
-        if self._rig is None:
+        rig = self._rig
+        if rig is None:
             self._note("warning", "stop", "no rig is connected: there is no motion to stop")
             return
-        self._rig.stop()
+        rig.stop()
         self._note("info", "stop", "all motion stopped")
 
     # -- the bench's own thread -------------------------------------------------------------------------
@@ -269,7 +274,7 @@ class BenchThread:
         except ScanStopped as stop:
             ended = ScanEnded(path, "stopped", str(stop))
         except GonioError as error:
-            ended = ScanEnded(path, "failed", str(error))
+            ended = ScanEnded(path, "failed", str(error), isinstance(error, DeviceError))
         finally:
             self._runner = None
             self._poll = True

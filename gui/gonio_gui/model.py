@@ -35,6 +35,7 @@ from gonio_gui.bench_thread import (
 from gonio_gui.live import LiveScan
 
 LOG_LINES = 2000
+SHOWN_REFUSALS = 4
 
 
 class Phase(enum.Enum):
@@ -72,6 +73,7 @@ class Banner:
 
     level: Level
     text: str
+    reconnect: bool = False  # whether connecting again may help
 
 
 class Model:
@@ -112,6 +114,16 @@ class Model:
             self.duration_s = estimate(plan, self.rig)
         except RefusedError:
             pass  # a wavelength without a detector: it stands in `refusals`
+        self.banner = self._refused()
+
+    def _refused(self) -> Banner | None:
+        """Return why the rig cannot measure the plan, None if it can."""
+        if not self.refusals:
+            return None
+        shown = "\n".join(str(refusal) for refusal in self.refusals[:SHOWN_REFUSALS])
+        more = len(self.refusals) - SHOWN_REFUSALS
+        rest = f"\n… and {more} more" if more > 0 else ""
+        return Banner("error", f"The rig cannot measure this plan:\n{shown}{rest}")
 
     def begin(self, plan: Plan) -> None:
         """Show an empty scan of a plan that the runner has accepted."""
@@ -174,7 +186,7 @@ class Model:
             case Note():
                 self.say(message.level, message.source, message.text)
                 if message.level == "error":
-                    self.banner = Banner("error", message.text)
+                    self.banner = Banner("error", message.text, reconnect=True)
             case Connected():
                 self._apply_connected(message)
             case Disconnected():
@@ -208,7 +220,7 @@ class Model:
 
     def _apply_connected(self, message: Connected) -> None:
         self.phase, self.devices = Phase.READY, message.devices
-        self.banner = None
+        self.banner = self._refused()
         for role, text in message.devices.items():
             self.say("info", role, text)
 
@@ -216,7 +228,7 @@ class Model:
         self.phase, self.devices = Phase.OFFLINE, {}
         self.theta_i_deg = self.theta_mes_deg = math.nan
         if message.reason:
-            self.banner = Banner("error", message.reason)
+            self.banner = Banner("error", message.reason, reconnect=True)
             self.say("error", "connection", message.reason)
 
     def _apply_ended(self, message: ScanEnded) -> None:
@@ -227,7 +239,7 @@ class Model:
             text = f"Stopped. Everything measured is kept in {message.path}; Resume scan goes on from there."
         elif message.how == "done":
             text = f"Finished. The scan is stored in {message.path}"
-        self.banner = Banner(level, text)
+        self.banner = Banner(level, text, reconnect=message.device_failed)
         self.say(level, "scan", text)
         if message.how == "done":
             self.path = self.suggested_path()  # the next scan never writes over this one

@@ -201,12 +201,7 @@ class MainWindow(QMainWindow):
         self.connect_rig()
 
     def _use_plan(self, plan: Plan) -> None:
-        self.model.banner = None
         self.model.set_plan(plan)
-        if self.model.refusals:
-            shown = "\n".join(str(refusal) for refusal in self.model.refusals[:4])
-            more = f"\n… and {len(self.model.refusals) - 4} more" if len(self.model.refusals) > 4 else ""
-            self.model.banner = Banner("error", f"The rig cannot measure this plan:\n{shown}{more}")
         self._new_output()
 
     def _new_output(self) -> None:
@@ -302,7 +297,7 @@ class MainWindow(QMainWindow):
         if self.model.banner is None:
             self.banner.hide()
             return
-        choices = [("Reconnect", self.connect_rig)] if self.model.phase is Phase.OFFLINE else []
+        choices = [("Reconnect", self.connect_rig)] if self.model.banner.reconnect else []
         self.banner.say(self.model.banner.level, self.model.banner.text, choices)
 
     def _apply_theme(self) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from gonio.bench_process import served
 from gonio.plan import Plan, parse_plan
 from gonio.rig import RigConfig, default_rig_text, load_rig, parse_rig
 
@@ -69,6 +70,13 @@ def slow_rig() -> RigConfig:
     text = default_rig_text()
     assert "clock_speed = 1000.0" in text
     return parse_rig(text.replace("clock_speed = 1000.0", "clock_speed = 4.0"))
+
+
+@pytest.fixture(scope="session")
+def running_bench() -> Iterator[RigConfig]:
+    """A rig whose simulated bench runs already, for the tests to which its start does not matter."""
+    with served(load_rig()) as reachable:
+        yield reachable
 
 
 Opener = Callable[..., MainWindow]

@@ -113,6 +113,9 @@ def test_refused_positions_are_known_before_anything_moves(rig: RigConfig, tmp_p
     model = Model(rig, plan, tmp_path / "x.h5")
     assert {r.position.index for r in model.refusals if r.position} == {0, 2}
     assert "blind zone" in str(model.refusals[0])
+    model.apply(Connected({}))  # the connection changes nothing about it
+    assert model.banner is not None
+    assert "blind zone" in model.banner.text
 
 
 def test_a_wavelength_without_a_detector_leaves_no_plot_but_a_reason(rig: RigConfig, tmp_path: Path) -> None:

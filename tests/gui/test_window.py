@@ -100,9 +100,9 @@ def test_one_click_runs_the_plan(qtbot: Any, open_window: Opener, tiny_plan: Pla
 
 
 def test_live_values_appear_while_it_runs(
-    qtbot: Any, open_window: Opener, long_plan: Plan, tmp_path: Path
+    qtbot: Any, open_window: Opener, running_bench: RigConfig, long_plan: Plan, tmp_path: Path
 ) -> None:
-    window = open_window(long_plan, tmp_path / "long.h5")
+    window = open_window(long_plan, tmp_path / "long.h5", running_bench)
     click(qtbot, window.controls.start)
     qtbot.waitUntil(lambda: window.plots.polar["s"].points(0)[0].size >= 3, timeout=SCAN_MS)
     assert window.model.phase.busy
@@ -115,9 +115,9 @@ def test_live_values_appear_while_it_runs(
 
 
 def test_pause_is_deferred_and_continues(
-    qtbot: Any, open_window: Opener, long_plan: Plan, tmp_path: Path
+    qtbot: Any, open_window: Opener, running_bench: RigConfig, long_plan: Plan, tmp_path: Path
 ) -> None:
-    window = open_window(long_plan, tmp_path / "long.h5")
+    window = open_window(long_plan, tmp_path / "long.h5", running_bench)
     click(qtbot, window.controls.start)
     wait_for(qtbot, window, Phase.RUNNING)
     qtbot.waitUntil(lambda: positions_done(window) >= 1, timeout=SCAN_MS)
@@ -139,10 +139,10 @@ def test_pause_is_deferred_and_continues(
 
 
 def test_stop_then_resume_finishes_the_same_file(
-    qtbot: Any, open_window: Opener, tiny_plan: Plan, tmp_path: Path
+    qtbot: Any, open_window: Opener, running_bench: RigConfig, tiny_plan: Plan, tmp_path: Path
 ) -> None:
     path = tmp_path / "tiny.h5"
-    window = open_window(tiny_plan, path)
+    window = open_window(tiny_plan, path, running_bench)
     click(qtbot, window.controls.start)
     qtbot.waitUntil(
         lambda: window.model.live is not None and bool(window.model.live.measured.any()), timeout=SCAN_MS
@@ -180,9 +180,9 @@ def test_stop_motion_stops_a_move_half_way(
 
 
 def test_stop_motion_works_with_nothing_running_and_nothing_connected(
-    qtbot: Any, open_window: Opener, tiny_plan: Plan, tmp_path: Path
+    qtbot: Any, open_window: Opener, running_bench: RigConfig, tiny_plan: Plan, tmp_path: Path
 ) -> None:
-    window = open_window(tiny_plan, tmp_path / "tiny.h5")
+    window = open_window(tiny_plan, tmp_path / "tiny.h5", running_bench)
     click(qtbot, window.controls.stop_motion)
     qtbot.waitUntil(lambda: logged(window, "all motion stopped"), timeout=SCAN_MS)
     assert window.model.phase is Phase.READY
@@ -200,10 +200,15 @@ def test_stop_motion_works_with_nothing_running_and_nothing_connected(
 
 
 def test_closing_during_a_scan_asks_and_keeps_it_resumable(
-    qtbot: Any, open_window: Opener, tiny_plan: Plan, long_plan: Plan, tmp_path: Path
+    qtbot: Any,
+    open_window: Opener,
+    running_bench: RigConfig,
+    tiny_plan: Plan,
+    long_plan: Plan,
+    tmp_path: Path,
 ) -> None:
     path = tmp_path / "long.h5"
-    window = open_window(long_plan, path)
+    window = open_window(long_plan, path, running_bench)
     click(qtbot, window.controls.start)
     qtbot.waitUntil(
         lambda: window.model.live is not None and bool(window.model.live.measured.any()), timeout=SCAN_MS
@@ -224,7 +229,7 @@ def test_closing_during_a_scan_asks_and_keeps_it_resumable(
     assert not kept.finished
     assert len(kept.position) >= 1
     # another window, opened on another plan, goes on with the scan's own
-    second = open_window(tiny_plan, path)
+    second = open_window(tiny_plan, path, running_bench)
     second.tick()
     assert second.controls.start.text() == "Resume scan"
     click(qtbot, second.controls.start)
@@ -261,9 +266,9 @@ def test_a_rig_that_does_not_answer_is_explained_and_can_be_tried_again(
 
 
 def test_files_that_cannot_be_used_are_explained_in_the_window(
-    qtbot: Any, open_window: Opener, tiny_plan: Plan, tmp_path: Path
+    qtbot: Any, open_window: Opener, running_bench: RigConfig, tiny_plan: Plan, tmp_path: Path
 ) -> None:
-    window = open_window(tiny_plan, tmp_path / "tiny.h5")
+    window = open_window(tiny_plan, tmp_path / "tiny.h5", running_bench)
     window.use_rig_file(tmp_path / "missing.toml")
     window.tick()
     assert "missing.toml: there is no such file" in window.banner.label.text()
@@ -285,11 +290,11 @@ def test_files_that_cannot_be_used_are_explained_in_the_window(
 
 
 def test_a_file_that_exists_is_never_written_over(
-    qtbot: Any, open_window: Opener, tiny_plan: Plan, tmp_path: Path
+    qtbot: Any, open_window: Opener, running_bench: RigConfig, tiny_plan: Plan, tmp_path: Path
 ) -> None:
     path = tmp_path / "precious.h5"
     path.write_text("precious")
-    window = open_window(tiny_plan, path)
+    window = open_window(tiny_plan, path, running_bench)
     run_to_end(qtbot, window)
     assert window.model.banner is not None
     assert window.model.banner.level == "error"
@@ -298,9 +303,9 @@ def test_a_file_that_exists_is_never_written_over(
 
 
 def test_stop_at_once_after_start_is_not_lost(
-    qtbot: Any, open_window: Opener, long_plan: Plan, tmp_path: Path
+    qtbot: Any, open_window: Opener, running_bench: RigConfig, long_plan: Plan, tmp_path: Path
 ) -> None:
-    window = open_window(long_plan, tmp_path / "long.h5")
+    window = open_window(long_plan, tmp_path / "long.h5", running_bench)
     window.start()
     window.stop_scan()
     wait_for(qtbot, window, Phase.READY)
@@ -310,12 +315,12 @@ def test_stop_at_once_after_start_is_not_lost(
 
 
 def test_everything_follows_the_palette(
-    qtbot: Any, open_window: Opener, tiny_plan: Plan, tmp_path: Path
+    qtbot: Any, open_window: Opener, running_bench: RigConfig, tiny_plan: Plan, tmp_path: Path
 ) -> None:
     application = QApplication.instance()
     assert isinstance(application, QApplication)
     usual = application.palette()
-    window = open_window(tiny_plan, tmp_path / "tiny.h5")
+    window = open_window(tiny_plan, tmp_path / "tiny.h5", running_bench)
     try:
         for ground, dark in (("#2b2d31", True), ("#efefef", False)):
             application.setPalette(QPalette(QColor(ground)))
@@ -330,10 +335,10 @@ def test_everything_follows_the_palette(
 
 
 def test_wavelength_slider_redraws_the_polar_plots(
-    qtbot: Any, open_window: Opener, tiny_plan: Plan, tmp_path: Path
+    qtbot: Any, open_window: Opener, running_bench: RigConfig, tiny_plan: Plan, tmp_path: Path
 ) -> None:
     path = tmp_path / "tiny.h5"
-    window = open_window(tiny_plan, path)
+    window = open_window(tiny_plan, path, running_bench)
     run_to_end(qtbot, window)
     scan = gonio.load(path)
     slider = window.plots.slider
