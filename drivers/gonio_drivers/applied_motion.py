@@ -8,12 +8,12 @@ Products, Host Command Reference, appendix on Modbus/RTU.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated
+from typing import Annotated, Self
 
-from gonio.config import Count, Number, Positive
+from gonio.config import Count, Positive
 from gonio.errors import DeviceError, MotionError
-from gonio.rig import Context, Driver, StageConfig
-from pydantic import Field
+from gonio.rig import SIMULATED, Context, Driver, StageConfig
+from pydantic import Field, model_validator
 
 from gonio_drivers.axis import MotorAxis
 from gonio_drivers.drive import DriveState, MotorConfig
@@ -59,8 +59,6 @@ class AppliedMotionAxisConfig(MotorConfig):
     """One drive."""
 
     device: Annotated[int, Field(strict=True, ge=1, le=32)]  # Modbus unit
-    steps_per_deg: Number
-    zero_deg: Number = 0.0
     steps_per_rev: Positive = 20000.0  # the drive's EG setting; speeds are revolutions of the motor
     encoder_counts_per_rev: Positive | None = None  # with an encoder the read-back is where the shaft is
 
@@ -74,6 +72,15 @@ class AppliedMotionStageConfig(StageConfig):
     home_on_connect: bool = True  # the drive cannot say whether it has a reference
     theta_i: AppliedMotionAxisConfig
     theta_mes: AppliedMotionAxisConfig
+
+    @model_validator(mode="after")
+    def _framing_suits_the_line(self) -> Self:
+        if self.framing == "tcp" and self.address != SIMULATED and not self.address.startswith("socket://"):
+            raise ValueError(
+                f"framing = 'tcp' at {self.address}: a serial port carries RTU frames; "
+                "write framing = 'rtu' or an address socket://host:port"
+            )
+        return self
 
 
 class AppliedMotionDrive:

@@ -119,9 +119,9 @@ class MotorAxis:
             The axis has no reference, has a fault that does not go away, or is moving already.
         """
         check_target(self._name, self._config, target_deg, rig_name=self._rig_name)
-        self._stop_asked.clear()
-        if self._move is not None and self._move.ended:
+        if self._stop_asked.is_set() or (self._move is not None and self._move.ended):
             self._move = None  # a start that fails must not leave the result of an earlier move to `wait`
+        self._stop_asked.clear()
         state = self._ready_state()
         here_deg = self._degrees(state.position_steps)
         if self._stands_at_steps == self._steps(target_deg) and self._is_at(here_deg, target_deg):
@@ -236,7 +236,7 @@ class MotorAxis:
         """Return the state of a drive that can start, or raise the reason why it cannot."""
         state = self._drive.state()
         if state.moving:
-            if self._move is not None and not self._move.ended and not self._stop_asked.is_set():
+            if self._move is not None:
                 raise MotionError(self._drive.device, "is still moving", "wait for it or stop it first")
             state = self._come_to_rest()
         if state.fault is not None:

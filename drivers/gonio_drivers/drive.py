@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, Self
 
+from gonio.config import Number
 from gonio.rig import AxisConfig
+from pydantic import model_validator
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,13 +62,24 @@ class Drive(Protocol):
 class MotorConfig(AxisConfig):
     """What a driver must know of an axis driven by steps."""
 
-    steps_per_deg: float  # negative if the angle falls while the steps rise
-    zero_deg: float = 0.0  # angle at step 0, the home switch
+    steps_per_deg: Number  # negative if the angle falls while the steps rise
+    zero_deg: Number = 0.0  # angle at step 0, the home switch
+
+    @model_validator(mode="after")
+    def _steps_are_fine_enough(self) -> Self:
+        if self.steps_per_deg == 0.0:
+            raise ValueError("steps_per_deg = 0: give the steps of one degree, negative if the angle falls")
+        half_step_deg = 0.5 / abs(self.steps_per_deg)
+        if self.tolerance_deg < half_step_deg:
+            raise ValueError(
+                f"tolerance_deg = {self.tolerance_deg:g} deg is finer than half a step, {half_step_deg:.3g} deg: "
+                "no move could arrive; raise it"
+            )
+        return self
 
 
 def approach_legs(config: AxisConfig, from_deg: float, target_deg: float) -> tuple[float, ...]:
-    """Return the targets of the moves that lead to `target_deg`, each in degrees, the last being
-    `target_deg`.
+    """Return the targets, in degrees, of the moves that lead to `target_deg`, itself the last.
 
     The lost motion of the gears is taken up by ending every approach in the same direction: towards zero,
     that is from the side on which an overshoot by `backlash_deg` goes away from the blind zone.  An axis that

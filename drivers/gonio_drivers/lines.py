@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TypeVar
 
-from gonio.errors import ConnectionFailed, ReplyError
+from gonio.errors import ConnectionFailed, DeviceError, ReplyError
 from gonio.rig import Context
 
 from gonio_drivers.transport import Port, open_port
@@ -103,7 +103,13 @@ class Line:
                 if prove is not None:
                     prove()
                 self._in_doubt = False
-            yield
+            try:
+                yield
+            except DeviceError:
+                raise  # whoever made it knows whether the reply was complete
+            except BaseException:  # Ctrl-C between request and reply: the reply is still to come
+                self._in_doubt = True
+                raise
 
     def send(self, data: bytes) -> None:
         """Send a request, after throwing away anything that was not asked for."""

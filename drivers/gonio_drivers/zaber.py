@@ -59,7 +59,6 @@ class ZaberAxisConfig(MotorConfig):
     device: Annotated[int, Field(strict=True, ge=1, le=99)]
     axis: Annotated[int, Field(strict=True, ge=1, le=9)] = 1
     steps_per_deg: Number  # microsteps; X-RST at its default resolution: 4266.67
-    zero_deg: Number = 0.0
 
 
 class ZaberStageConfig(StageConfig):

@@ -10,6 +10,7 @@ from gonio.errors import MotionError, RefusedError, ReplyError
 from gonio.rig import Context
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from gonio_drivers import axis as axis_module
 from gonio_drivers.axis import MotorAxis
@@ -100,7 +101,7 @@ def test_legs_end_at_the_target_inside_the_limits_and_outside_the_zone(from_deg,
 
 @given(st.floats(-180, 180), st.floats(-179, 179), st.floats(0.1, 1))
 def test_where_there_is_room_the_last_motion_is_always_towards_zero(from_deg, target_deg, backlash_deg):
-    config = MotorConfig(steps_per_deg=1.0, limits_deg=(-181.0, 181.0), backlash_deg=backlash_deg)
+    config = MotorConfig(steps_per_deg=100.0, limits_deg=(-181.0, 181.0), backlash_deg=backlash_deg)
     path = (from_deg, *approach_legs(config, from_deg, target_deg))
     last = path[-1] - path[-2]
     assert last * (-1 if target_deg < 0 else 1) <= -backlash_deg * (1 - 1e-6) + 1e-12
@@ -320,6 +321,45 @@ def test_stop_in_the_first_leg_prevents_the_second():
     with pytest.raises(MotionError, match="stopped on request"):
         axis.wait()
     assert [entry for entry in motor.log if entry != "stop"] == ["move 161500"]
+
+
+def test_a_move_that_was_stopped_without_anybody_waiting_does_not_block_the_next():
+    motor = Motor(polls=5)
+    axis = make(PLAIN, motor)
+    axis.start(30.0)
+    motor.stop = lambda: None  # it takes its time to decelerate
+    axis.stop()
+    axis.start(40.0)
+    assert axis.wait() == 40.0
+
+
+def test_after_a_refused_start_wait_tells_where_it_stands():
+    motor = Motor()
+    axis = make(PLAIN, motor)
+    axis.start(30.0)
+    axis.wait()
+    motor.position_steps = 25_000  # moved by hand
+    with pytest.raises(RefusedError):
+        axis.start(91.0)
+    with pytest.raises(MotionError):
+        _start_faulty(axis, motor)
+    assert axis.wait() == 25.0
+
+
+def _start_faulty(axis: MotorAxis, motor: Motor) -> None:
+    motor.clear_faults = lambda: None
+    motor.fault = "too hot"
+    try:
+        axis.start(30.0)
+    finally:
+        motor.fault = None
+
+
+def test_a_tolerance_finer_than_the_steps_is_a_mistake_in_the_rig_file():
+    with pytest.raises(ValidationError, match="finer than half a step, 0\\.05 deg"):
+        MotorConfig(steps_per_deg=10.0, limits_deg=(0.0, 90.0))
+    with pytest.raises(ValidationError, match="steps_per_deg = 0"):
+        MotorConfig(steps_per_deg=0.0, limits_deg=(0.0, 90.0))
 
 
 def test_stop_while_idle_is_harmless_and_the_next_move_goes():

@@ -12,7 +12,7 @@ from gonio.errors import ConnectionFailed, MotionError, RefusedError, ScanStoppe
 
 from gonio_drivers.lines import Line
 
-from .conftest import rig_text, running_bench
+from .conftest import STAGES, rig_text, running_bench
 
 
 @pytest.fixture
@@ -200,6 +200,14 @@ def test_the_wrong_device_at_an_address_is_one_message(bench):
     )
     with pytest.raises(ConnectionFailed, match="lockin at"):
         bench.open(config)
+
+
+def test_modbus_rtu_over_a_pseudo_terminal(tmp_path):
+    pytest.importorskip("pty", reason="no pseudo terminals on this system")
+    with running_bench(tmp_path, rig_text(stage=STAGES["modbus-rtu"]), "--pty") as bench:
+        stage = bench.config.stage.model_copy(update={"address": bench.ptys["stage"]})
+        with bench.open(bench.config.model_copy(update={"stage": stage})) as rig:
+            assert rig.move_to(20.0, 40.0) == pytest.approx((20.0, 40.0), abs=0.001)
 
 
 def test_over_pseudo_terminals(tmp_path):

@@ -145,6 +145,19 @@ def test_silence_at_first_contact_is_a_failed_connection(scripted):
     assert line.port.closed
 
 
+def test_an_interrupt_between_request_and_reply_leaves_no_reply_for_the_next(scripted):
+    line = scripted((b"a?", [SILENCE, b"1\r\n"]), (b"b?", b"2\r\n"))
+    with pytest.raises(KeyboardInterrupt):
+        _interrupted(line)
+    assert ask(line, b"b?") == b"2"
+
+
+def _interrupted(line: Line) -> None:
+    with line.transaction():
+        line.send(b"a?")
+        raise KeyboardInterrupt
+
+
 def test_close_twice(scripted):
     line = scripted()
     line.close()

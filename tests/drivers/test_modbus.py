@@ -6,8 +6,14 @@ import struct
 
 import pytest
 from gonio.errors import DeviceError, ReplyError
+from pydantic import ValidationError
 
-from gonio_drivers.applied_motion import AppliedMotionAxisConfig, AppliedMotionDrive, open_stage
+from gonio_drivers.applied_motion import (
+    AppliedMotionAxisConfig,
+    AppliedMotionDrive,
+    AppliedMotionStageConfig,
+    open_stage,
+)
 from gonio_drivers.lines import NoReply
 from gonio_drivers.modbus import CANARY_COUNT, ModbusLine
 
@@ -250,6 +256,13 @@ def test_speeds_the_drive_did_not_take(scripted):
     line = modbus(scripted, CONNECT[0], (CONNECT[1][0], registers(120, 120, 900)))
     with pytest.raises(DeviceError, match=r"was told .*\[120, 120, 960\] and reads \[120, 120, 900\]"):
         AppliedMotionDrive(line, "theta_i", CONFIG, referenced=True)
+
+
+def test_tcp_frames_on_a_serial_port_are_a_mistake_in_the_rig_file():
+    with pytest.raises(ValidationError, match="a serial port carries RTU frames"):
+        AppliedMotionStageConfig(
+            driver="applied-motion", address="/dev/ttyUSB0", framing="tcp", theta_i=CONFIG, theta_mes=CONFIG
+        )
 
 
 def test_open_stage_is_the_entry_points_function():
