@@ -1,4 +1,4 @@
-"""Irradiance on facades: street scenes of measured materials, sun and sky, by Monte Carlo with standard errors.
+"""Irradiance on facades: street scenes of measured materials, sun and sky, Monte Carlo with standard errors.
 
 >>> from gonio import facade
 >>> scene = facade.load_scene("street.toml")              # doctest: +SKIP

@@ -50,12 +50,13 @@ def backward_paths(
     """Add paths of the units ``window[0] <= unit < window[1]`` to `out`; return the number of rays.
 
     A unit is one patch and one replica (``unit = patch * replicas + replica``) and takes the points
-    ``window[2] <= i < window[3]``.  `out` (units, 5) float64 collects irradiances in W/m2, one column per kind.
-    `owner` (patches,) is the surface and `cell` (patches, 4) the rectangle ``a0, b0, da, db`` of each patch.
+    ``window[2] <= i < window[3]``.  `out` (units, 5) float64 collects irradiances in W/m2, one column per
+    kind.  `owner` (patches,) is the surface and `cell` (patches, 4) the rectangle ``a0, b0, da, db`` of each
+    patch.
 
-    Without `lobe` only diffuse reflections are followed and no path weighs more than one.  With it the lobe is
-    evaluated on the reversed path: its weight cos(theta_i)/cos(theta_o) has no bound at grazing exit, so this is
-    a check for broad lobes and not the way of choice.
+    Without `lobe` only diffuse reflections are followed and no path weighs more than one.  With it the lobe
+    is evaluated on the reversed path: its weight cos(theta_i)/cos(theta_o) has no bound at grazing exit, so
+    this is a check for broad lobes and not the way of choice.
     """
     rays = 0
     for unit in range(window[0], window[1]):

@@ -1,4 +1,4 @@
-"""How much light arrives through at least one lobe, by photons followed from the first lit surface onwards?"""
+"""How much light arrives through at least one lobe, by photons followed from the first lit surface?"""
 
 from __future__ import annotations
 
@@ -137,9 +137,10 @@ def forward_photons(
     """Add photons ``window[2] <= i < window[3]`` of replicas ``window[0] <= r < window[1]``; return the rays.
 
     Until its first lobe a photon is split at every reflection: one part takes the lobe and is followed and
-    tallied to its end, the rest goes on diffusely.  Every path with at least one lobe is therefore counted once,
-    and the powers of all parts add up: emitted + created = absorbed + escaped + unfinished, but for rounding.
-    `tally` (replicas, patches) and `energy` (replicas, 6) collect W, to be divided by the number of photons.
+    tallied to its end, the rest goes on diffusely.  Every path with at least one lobe is therefore counted
+    once, and the powers of all parts add up: emitted + created = absorbed + escaped + unfinished, but for
+    rounding.  `tally` (replicas, patches) and `energy` (replicas, 6) collect W, to be divided by the number
+    of photons.
     """
     rays = 0
     for replica in range(window[0], window[1]):

@@ -1,11 +1,12 @@
 """Where are the surfaces?  Streets, boxes, and the tree that finds what a ray hits.
 
-World coordinates in metres: x east, y north, z up.  Azimuths are clockwise from north.  A `Surface` is the rectangle
-``origin + a u + b v``, 0 <= a, b <= 1; its reflecting side is where ``u x v`` points, or the other if `turned`.
+World coordinates in metres: x east, y north, z up.  Azimuths are clockwise from north.  A `Surface` is the
+rectangle ``origin + a u + b v``, 0 <= a, b <= 1; its reflecting side is where ``u x v`` points, or the other
+if `turned`.
 
-A street runs along its azimuth.  Seen that way the facade "left" stands on the left hand and "right" on the right,
-both facing the street.  Receiver columns run along the azimuth, rows from the ground up (on the ground: from the
-left facade to the right one).
+A street runs along its azimuth.  Seen that way the facade "left" stands on the left hand and "right" on the
+right, both facing the street.  Receiver columns run along the azimuth, rows from the ground up (on the
+ground: from the left facade to the right one).
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ class Surface:
 
 
 def heading(azimuth_deg: float) -> Vector:
-    """Return the horizontal unit vector of an azimuth (clockwise from north), exact at multiples of 90 deg."""
+    """Return the horizontal unit vector of an azimuth (clockwise from north), exact at every 90 deg."""
     quarter, rest = divmod(azimuth_deg, 90.0)
     s, c = math.sin(math.radians(rest)), math.cos(math.radians(rest))
     east, north = [(s, c), (c, -s), (-s, -c), (-c, s)][int(quarter) % 4]
@@ -94,8 +95,9 @@ def box(
 ) -> tuple[Surface, ...]:
     """Return the six outward faces of a box: ``name.front``, back, left, right, top, bottom.
 
-    `centre_m` is the middle of the base, `size_m` is (width across, depth along the azimuth, height).  The front
-    face looks along the azimuth; "left" and "right" are those of somebody inside who looks out of the front.
+    `centre_m` is the middle of the base, `size_m` is (width across, depth along the azimuth, height).  The
+    front face looks along the azimuth; "left" and "right" are those of somebody inside who looks out of the
+    front.
     """
     ahead = np.array(heading(azimuth_deg))
     to_right = np.array(heading(azimuth_deg + 90.0))
@@ -137,7 +139,8 @@ def check(surfaces: Sequence[Surface], materials: Mapping[str, Optics], *, perio
         lengths = np.linalg.norm(edges[1:], axis=1)
         if np.min(lengths) == 0.0 or s.area_m2 < 1e-9 * float(np.prod(lengths)):
             raise SceneError(
-                f"surface '{s.name}' has an area of {s.area_m2:g} m2 (edges {lengths[0]:g} m and {lengths[1]:g} m); "
+                f"surface '{s.name}' has an area of {s.area_m2:g} m2 "
+                f"(edges {lengths[0]:g} m and {lengths[1]:g} m); "
                 "give it two edges that span a rectangle"
             )
         if s.material not in materials:

@@ -1,4 +1,8 @@
-"""What do the kernels read and write?  (Here, and not beside them, so that reading a result need not load numba.)"""
+"""What do the kernels read and write?
+
+Here and not beside them, so that reading a result need not load numba.  Do not rename or move the two classes
+lightly: the compiled code that users have on disk refers to them by name.
+"""
 
 from __future__ import annotations
 

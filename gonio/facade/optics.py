@@ -1,8 +1,8 @@
 """How does a surface reflect in the simulation, and does that conserve energy?
 
-The four parameters are band averages; `k_d` and `k_s` are what a surface returns of unpolarised light.  The lobe as
-published ignores that the diffuse part and the lobe share one unit of energy; `energy` says what is done about it
-(docs/decisions/facade-energy.md).
+The four parameters are band averages; `k_d` and `k_s` are what a surface returns of unpolarised light.  The
+lobe as published ignores that the diffuse part and the lobe share one unit of energy; `energy` says what is
+done about it (docs/decisions/facade-energy.md).
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Optics:
 
     @classmethod
     def from_material(cls, material: Any) -> Optics:
-        """Return the single band of a `gonio.material.Material`; without a lobe its alpha and n2 do not matter."""
+        """Return the single band of a `gonio.material.Material`; without a lobe alpha and n2 do not matter."""
         rho_d, rho_s, alpha, n2 = (
             float(np.asarray(getattr(material, name)).ravel()[0])
             for name in ("rho_d", "rho_s", "alpha", "n2")
@@ -66,7 +66,7 @@ class Optics:
         return cls(rho_d, rho_s, alpha, n2)
 
     def k_s(self, theta_i_deg: ArrayLike) -> FloatArray:
-        """Return ``rho_s R(n2, theta_i)`` of unpolarised light (paper Eq 20), the whole lobe, horizon or not."""
+        """Return ``rho_s R(n2, theta_i)`` of unpolarised light (paper Eq 20): the lobe, horizon or not."""
         if self.rho_s == 0.0:
             return np.zeros(np.shape(theta_i_deg))
         from gonio.fresnel import reflectance
@@ -76,8 +76,8 @@ class Optics:
     def excess(self) -> tuple[float, float] | None:
         """Return the incidence from which ``rho_d + k_s`` exceeds 1, and the largest excess below 89.9 deg.
 
-        ``None`` if the published model conserves energy up to there.  R grows monotonically with incidence from the
-        Brewster region on, so the angle is found to 0.1 deg on a grid.
+        ``None`` if the published model conserves energy up to there.  R grows monotonically with incidence
+        from the Brewster region on, so the angle is found to 0.1 deg on a grid.
         """
         theta_deg = np.linspace(0.0, 89.9, 900)
         over = self.rho_d + self.k_s(theta_deg) - 1.0
@@ -92,7 +92,10 @@ def excess_text(name: str, optics: Optics, energy: Energy) -> str | None:
     if found is None:
         return None
     angle_deg, excess = found
-    fact = f"material '{name}': rho_d + k_s as published exceeds 1 from {angle_deg:.1f} deg incidence, by up to {excess:.3f}"
+    fact = (
+        f"material '{name}': rho_d + k_s as published exceeds 1 from {angle_deg:.1f} deg incidence, "
+        f"by up to {excess:.3f}"
+    )
     if energy == "published":
         return f'{fact}; energy is created there (energy = "conserving" avoids it)'
     return f'{fact}; the diffuse part is reduced there (energy = "conserving")'

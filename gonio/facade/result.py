@@ -1,4 +1,4 @@
-"""What came out?  `Irradiance`: values with standard errors, by contribution, in a file that any NeXus viewer opens."""
+"""What came out?  Irradiance with standard errors, by contribution, in a file that any NeXus viewer opens."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gonio.facade.geometry import Vector
 FloatArray = NDArray[np.float64]
 
 CONTRIBUTIONS = ("direct", "sky", "diffuse", "specular")
-"""Direct sun, direct view of the sky, diffusely reflected only, reflected by at least one lobe; their sum is the total."""
+"""Direct sun, direct view of the sky, reflected only diffusely, reflected by a lobe at least once: the total."""
 
 _POWERS = ("emitted_w", "created_w", "absorbed_w", "under_horizon_w", "escaped_w", "unfinished_w")
 
@@ -36,8 +36,8 @@ class Estimate:
 class Receiver:
     """One gridded surface; arrays are (rows, columns), row 0 the lowest, columns along the street's azimuth.
 
-    `mean` and `mean_contributions` are averages over the surface, with standard errors of their own: patches share
-    photons, so they do not follow from those of the patches.
+    `mean` and `mean_contributions` are averages over the surface, with standard errors of their own: patches
+    share photons, so they do not follow from those of the patches.
     """
 
     name: str
@@ -74,7 +74,7 @@ class Receiver:
 
 @dataclass(frozen=True, slots=True)
 class EnergyBalance:
-    """Where the power of the photons went that were followed for the lobe, W; all zero without a glossy surface.
+    """Where the power of the photons went, W; all zero without a glossy surface, which needs none.
 
     ``emitted + created = absorbed + escaped + unfinished`` but for rounding; `under_horizon_w` is the part of
     `absorbed_w` that the lobe sent below the surface.
@@ -100,8 +100,8 @@ class EnergyBalance:
 class Irradiance:
     """The result of `gonio.facade.simulate`.
 
-    `relative_error` is the root mean square over all patches of standard error over value, the quantity held against
-    `rel_tol`; `converged` says whether it got there.
+    `relative_error` is held against `rel_tol`: the root mean square of the patches' standard errors over the
+    mean irradiance, of the receiver where it is largest.  `converged` says whether it got there.
     """
 
     receivers: tuple[Receiver, ...]
@@ -133,20 +133,21 @@ class Irradiance:
             lines.append(f"{r.name:<16}{texts[0]:>18}" + "".join(f"{t:>17}" for t in texts[1:]))
         reached = "reached" if self.converged else "NOT reached"
         lines.append(
-            f"W/m2, mean ± standard error; patches: {100 * self.relative_error:.2g} % (rms; {100 * self.rel_tol:g} % "
-            f"asked, {reached}), {self.rays:.3g} rays in {self.duration_s:.2f} s, seed {self.seed}"
+            f"W/m2, mean ± standard error; patches ± {100 * self.relative_error:.2g} % (rms, worst receiver; "
+            f"{100 * self.rel_tol:g} % asked, {reached})"
         )
+        lines.append(f"{self.rays:.3g} rays in {self.duration_s:.2f} s, seed {self.seed}")
         e = self.energy
         if e.emitted_w > 0.0:
             lines.append(
-                f"energy through the lobes: {e.emitted_w:.6g} W in, {e.absorbed_w:.6g} W absorbed ({e.under_horizon_w:.3g} W "
-                f"of it below the horizon), {e.escaped_w:.6g} W escaped, {e.created_w:.3g} W created; "
-                f"balance {e.residual:.0e}"
+                f"photons: {e.emitted_w:.6g} W in + {e.created_w:.3g} W created = {e.absorbed_w:.6g} W absorbed "
+                f"({e.under_horizon_w:.3g} W of it below the horizon) + {e.escaped_w:.6g} W escaped "
+                f"+ {e.unfinished_w:.3g} W unfinished; balance {e.residual:.0e}"
             )
         return "\n".join([*lines, *self.notes])
 
     def save(self, path: str | Path) -> None:
-        """Write everything to an HDF5 file (NeXus groups, units on every array); an older file is replaced at once.
+        """Write everything to an HDF5 file (NeXus groups, units on every array); an older one is replaced.
 
         `StoreError` if the file cannot be written; then nothing is left behind.
         """

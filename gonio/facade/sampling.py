@@ -1,7 +1,7 @@
 """Which random numbers and directions does a path take?
 
-Every number is a hash of (seed, stream, path, draw), and the first eight draws of a path are a Sobol point with
-its own Owen scrambling per replica: nothing depends on which thread computes what, or in which order.
+Every number is a hash of (seed, stream, path, draw), and the first eight draws of a path are a Sobol point
+with its own Owen scrambling per replica: nothing depends on which thread computes what, or in which order.
 """
 
 from __future__ import annotations

@@ -30,8 +30,8 @@ class Scene:
     dni_w_m2, dhi_w_m2
         Direct normal and diffuse horizontal irradiance.  With the sun below the horizon the direct part is 0.
     infinite
-        The street repeats for ever along `Surface.u_m`, which must then be common to all surfaces; patches are
-        those of one cell.
+        The street repeats for ever along `Surface.u_m`, which must then be common to all surfaces; patches
+        are those of one cell.
     energy, horizon
         Completion of the published lobe (docs/decisions/facade-energy.md).
     text, notes
@@ -88,16 +88,17 @@ def load_scene(path: str | Path) -> Scene:
     path = Path(path)
     try:
         read_toml(path)  # for its message if the file cannot be read
-        return parse_scene(path.read_text(encoding="utf-8"), source=str(path), folder=path.parent)
-    except SceneError:
-        raise
     except GonioError as error:
         raise SceneError(str(error)) from None
+    return parse_scene(path.read_text(encoding="utf-8"), source=str(path), folder=path.parent)
 
 
 def parse_scene(text: str, *, source: str = "scene.toml", folder: Path | None = None) -> Scene:
-    """Return the scene described by TOML text; scans are found relative to `folder`."""
-    table = validate(SceneTable, parse_toml(text, source=source), source=source)
+    """Return the scene of TOML text; scans are found relative to `folder`; errors as `load_scene`."""
+    try:
+        table = validate(SceneTable, parse_toml(text, source=source), source=source)
+    except GonioError as error:
+        raise SceneError(str(error)) from None
     surfaces = _surfaces(table, source)
     materials = {name: _optics(name, m, source, folder or Path()) for name, m in table.materials.items()}
     notes: list[str] = []
@@ -149,7 +150,10 @@ def _optics(name: str, m: MaterialTable, source: str, folder: Path) -> Optics:
     if m.albedo is not None:
         return Optics(m.albedo)
     if m.scan is None:
-        assert m.rho_d is not None and m.rho_s is not None and m.alpha is not None and m.n2 is not None
+        assert m.rho_d is not None
+        assert m.rho_s is not None
+        assert m.alpha is not None
+        assert m.n2 is not None
         return Optics(m.rho_d, m.rho_s, m.alpha, m.n2)
     from gonio.material import Material
 
@@ -173,7 +177,8 @@ def _light(table: SceneTable, notes: list[str]) -> tuple[Sun, float, float]:
         site = Site(**table.site.model_dump())
         sun = sun_at(site, angular_diameter_deg=table.sun.angular_diameter_deg)
     else:
-        assert table.sun.azimuth_deg is not None and table.sun.elevation_deg is not None
+        assert table.sun.azimuth_deg is not None
+        assert table.sun.elevation_deg is not None
         sun = Sun(table.sun.azimuth_deg, table.sun.elevation_deg, table.sun.angular_diameter_deg)
     notes.append(f"sun at azimuth {sun.azimuth_deg:.2f} deg, elevation {sun.elevation_deg:.2f} deg")
     dni, dhi = table.irradiance.dni_w_m2, table.irradiance.dhi_w_m2

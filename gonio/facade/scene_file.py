@@ -1,7 +1,7 @@
 """What may stand in `scene.toml`?
 
-Lengths in metres, angles in degrees (azimuths clockwise from north), irradiances in W/m2.  Materials are named in
-``[materials.NAME]`` and used by name; see `examples/scenes/street.toml` for a complete file.
+Lengths in metres, angles in degrees (azimuths clockwise from north), irradiances in W/m2.  Materials are
+named in ``[materials.NAME]`` and used by name; see `examples/scenes/street.toml` for a complete file.
 """
 
 from __future__ import annotations
@@ -102,7 +102,8 @@ class MaterialTable(Strict):
         ]
         if len(kinds) != 1:
             raise ValueError(
-                f"gives {' and '.join(kinds) or 'nothing'}; give exactly one of scan, albedo, or rho_d, rho_s, alpha, n2"
+                f"gives {' and '.join(kinds) or 'nothing'}; give exactly one of scan, albedo, "
+                "or rho_d, rho_s, alpha, n2"
             )
         if given and len(given) < 4:
             raise ValueError(
@@ -161,23 +162,27 @@ class SceneTable(Strict):
     materials: dict[Name, MaterialTable]
     street: StreetTable | None = None
     boxes: tuple[BoxTable, ...] = ()
-    receivers: Annotated[tuple[ReceiverTable, ...], Field(min_length=1)]
+    receivers: tuple[ReceiverTable, ...]
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
         if self.street is None and not self.boxes:
             raise ValueError("the scene has no surfaces; add [street] or [[boxes]]")
+        if not self.receivers:
+            raise ValueError("receivers is empty: where is the irradiance wanted? add [[receivers]]")
         if self.site is None and self.sun.azimuth_deg is None:
             raise ValueError(
                 "where is the sun? add [site] with a time, or [sun] azimuth_deg and elevation_deg"
             )
         if self.site is not None and self.sun.azimuth_deg is not None:
             raise ValueError(
-                "the sun is given twice, by [site] and by [sun]; remove sun.azimuth_deg and sun.elevation_deg, or [site]"
+                "the sun is given twice, by [site] and by [sun]; remove [site], "
+                "or sun.azimuth_deg and sun.elevation_deg"
             )
         if self.site is None and None in (self.irradiance.dni_w_m2, self.irradiance.dhi_w_m2):
             raise ValueError(
-                "without a [site] there is no clear sky to compute; give irradiance.dni_w_m2 and irradiance.dhi_w_m2"
+                "without a [site] there is no clear sky to compute; "
+                "give irradiance.dni_w_m2 and irradiance.dhi_w_m2"
             )
         if (self.irradiance.dni_w_m2 is None) != (self.irradiance.dhi_w_m2 is None):
             raise ValueError(

@@ -5,10 +5,10 @@ Three estimators add up, each in 32 independent randomisations (replicas) of its
 - backward paths from every patch: direct sun, direct sky, and all light reflected only diffusely;
 - photons from the sun, and photons from the sky, that meet at least one lobe, tallied where they arrive.
 
-Standard errors come from the scatter of the replicas, which holds for correlated (Sobol) points as well.  A round
-doubles the points of the estimator that promises most variance less per ray, until the root mean square over the
-patches of standard error over value is below the tolerance.  The choice depends on counts, never on clocks or
-threads: a seed gives the same bits on one thread or many.
+Standard errors come from the scatter of the replicas, which holds for correlated (Sobol) points as well.  A
+round doubles the points of the estimator that promises most variance less per ray, until for every receiver
+the root mean square of its patches' standard errors, over its mean irradiance, is below the tolerance.  The
+choice depends on counts, never on clocks or threads: a seed gives the same bits on one thread or many.
 """
 
 from __future__ import annotations
@@ -38,6 +38,8 @@ Progress = Callable[[float, str], None]
 
 REPLICAS = 32
 MAX_RAYS = 2_000_000_000
+DARK = 1e-3
+"""A receiver with less than this part of DNI + DHI is held to ``rel_tol * DARK * (DNI + DHI)`` instead."""
 
 _BATCH = 1 << 21  # paths between two looks at Ctrl-C and two reports of progress
 _SUN_STREAM, _SKY_STREAM = 1 << 40, (1 << 40) + 1  # beyond every patch number, which are the backward streams
@@ -60,7 +62,7 @@ def simulate(
     scene
         From `load_scene`, or built from Python objects.
     rel_tol
-        Wanted root mean square over the patches of standard error over value, 1e-5...0.5.
+        Wanted for every receiver: root mean square of its patches' standard errors over its mean, 1e-5...0.5.
     seed
         The same seed gives the same bits, whatever `threads`.
     threads
@@ -69,8 +71,8 @@ def simulate(
         Called with the fraction done and a text; the first call of a program compiles the kernels (about ten
         seconds, kept on disk) and says so.
     estimator
-        ``"split"``, or ``"backward"`` for everything by backward paths: an independent check for broad lobes, slow
-        and with heavy tails for narrow ones.
+        ``"split"``, or ``"backward"`` for everything by backward paths: an independent check for broad lobes,
+        slow and with heavy tails for narrow ones.
     max_rays
         Stop here at the latest; the result then says that it has not converged.
 
@@ -106,7 +108,8 @@ def simulate(
     reached = run.until(rel_tol, max_rays)
     if reached > rel_tol:
         notes.append(
-            f"stopped after {run.rays:.3g} rays at a relative standard error of {reached:.2g}, above the {rel_tol:g} asked; "
+            f"stopped after {run.rays:.3g} rays at a relative standard error of {reached:.2g}, above the "
+            f"{rel_tol:g} asked; "
             "allow more rays or a larger rel_tol"
         )
     lost = run.lost_w_m2()
@@ -138,7 +141,7 @@ def available_threads() -> int:
 
 @dataclass
 class _Part:
-    """One estimator: the sums so far and what they cost; `per_replica` is W/m2, (patches, replicas, kinds)."""
+    """One estimator: points per replica wanted and done, their sums, and what they cost."""
 
     points: int
     sums: FloatArray
@@ -176,8 +179,12 @@ class _Run:
         self.sun_chance = _chances(self.g, self.light, from_sky=False)
         self.sky_chance = _chances(self.g, self.light, from_sky=True)
         glossy = bool(np.any(self.g.material[:, 1] > 0.0)) and not whole
-        self.sun = _Part(512, np.zeros((REPLICAS, count))) if glossy and self.sun_chance is not None else None
-        self.sky = _Part(512, np.zeros((REPLICAS, count))) if glossy and self.sky_chance is not None else None
+        self.sun = (
+            _Part(4096, np.zeros((REPLICAS, count))) if glossy and self.sun_chance is not None else None
+        )
+        self.sky = (
+            _Part(1024, np.zeros((REPLICAS, count))) if glossy and self.sky_chance is not None else None
+        )
 
     # -- spending rays
 
@@ -205,7 +212,7 @@ class _Run:
                 self._add(pool, kernels, part)
 
     def _warm_up(self, kernels: Any) -> None:
-        """Compile in this thread, with empty windows: numba's compiler is locked, the others would only wait."""
+        """Compile in this thread, with empty windows: the compiler is locked, others would only wait."""
         self._backward(kernels, (0, 0, 0, 0))
         self._forward(kernels, _Part(0, np.zeros((REPLICAS, 1))), np.ones(1), _SUN_STREAM, (0, 0, 0, 0))
 
@@ -230,8 +237,8 @@ class _Run:
     def _backward(self, kernels: Any, window: tuple[int, int, int, int]) -> int:
         return int(
             kernels.backward(
-                self.g, self.light, self.owner, self.cell, self.directions, self.seed, REPLICAS, window, self.whole,
-                self.back.sums,
+                self.g, self.light, self.owner, self.cell, self.directions, self.seed, REPLICAS, window,
+                self.whole, self.back.sums,
             )
         )  # fmt: skip
 
@@ -268,14 +275,20 @@ class _Run:
         return np.asarray(part.sums.T / part.done / self.area_m2[:, None])
 
     def _relative_variances(self) -> list[float]:
-        """Return each part's share of the mean over the patches of (standard error / value)^2."""
+        """Return the square of the relative error of the receiver that needs most, by part of the engine."""
         total = np.asarray(sum(self._replicas().values())).mean(axis=1)
-        lit = total > 0.0
-        if not np.any(lit):
-            return [0.0 for _ in self._parts()]
         own = [self.back.sums.reshape(len(self.owner), REPLICAS, 5)[:, :, :4].sum(axis=2) / self.back.done]
         own += [self._tallied(p) for p in (self.sun, self.sky) if p is not None]
-        return [float(np.mean((_standard_error(x)[lit] / total[lit]) ** 2)) for x in own]
+        variances = [_standard_error(x) ** 2 for x in own]
+        worst = [0.0 for _ in own]
+        first = 0
+        for s in self.scene.receivers:
+            here = slice(first, first + s.rows * s.columns)
+            first = here.stop
+            mean = max(float(np.mean(total[here])), DARK * (self.light.dni + self.light.dhi))
+            if mean > 0.0:
+                worst = max(worst, [float(np.mean(v[here])) / mean**2 for v in variances], key=sum)
+        return worst
 
     def receivers(self) -> tuple[Receiver, ...]:
         """Return values and standard errors of all receivers."""
@@ -349,8 +362,9 @@ def _patches(scene: Scene, order: list[int]) -> tuple[NDArray[np.int64], FloatAr
 def _chances(g: Surfaces, light: Light, *, from_sky: bool) -> FloatArray | None:
     """Return the cumulative probabilities with which photons start on the surfaces; ``None`` without light.
 
-    In proportion to the power a surface can receive; a matte one counts a quarter, because its photons must first
-    find a lobe.  A surface seen edge-on by the centre of the sun still gets the part of the disc it sees.
+    In proportion to the power a surface can receive; a matte one counts a quarter, because its photons must
+    first find a lobe.  A surface seen edge-on by the centre of the sun still gets the part of the disc it
+    sees.
     """
     if from_sky:
         weight = g.area * (0.5 + 0.5 * g.normal[:, 2]) if light.dhi > 0.0 else np.zeros(len(g.area))

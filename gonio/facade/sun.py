@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import math
+import warnings
 from dataclasses import dataclass
 
 from gonio.errors import SceneError
@@ -65,5 +66,8 @@ def clear_sky(site: Site) -> tuple[float, float]:
     import pvlib
 
     place = pvlib.location.Location(site.latitude_deg, site.longitude_deg, altitude=site.altitude_m)
-    table = place.get_clearsky(pandas.DatetimeIndex([site.time]), model="ineichen")
+    with warnings.catch_warnings():
+        # pvlib 0.16 calls a name that pandas 3 has renamed; nothing a user of this program can do about it
+        warnings.filterwarnings("ignore", message="DatetimeIndex.dayofyear")
+        table = place.get_clearsky(pandas.DatetimeIndex([site.time]), model="ineichen")
     return float(table["dni"].iloc[0]), float(table["dhi"].iloc[0])

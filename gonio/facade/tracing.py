@@ -1,8 +1,8 @@
 """What does a ray hit, and how much of the light is reflected there?
 
 Surfaces are parallelograms ``o + a u + b v`` with ``0 <= a, b <= 1``; in a periodic scene every ``u`` lies
-along the street and ``a`` is unlimited, so that one stored cell stands for an endless street.  The normal
-``u x v`` points to the reflecting side, the other side is black.  All geometry is float64, and a ray skips the
+along the street and ``a`` is unlimited, so that one stored cell stands for an endless street.  The normal ``u
+x v`` points to the reflecting side, the other side is black.  All geometry is float64, and a ray skips the
 surface it starts on, so there is no offset to tune.
 
 Light is unpolarised at every reflection (R is the mean of S and P).  A material is ``(rho_d, rho_s, alpha,
@@ -44,7 +44,8 @@ def fresnel_mean(cosine: float, n2: float) -> float:
 def coefficients(g: Any, k: int, cosine: float, conserving: bool) -> Any:
     """Return ``(k_d, k_s)`` of surface `k` at incidence `cosine`.
 
-    Conserving: the diffuse part takes what the lobe leaves; otherwise both are as published, whatever their sum.
+    Conserving: the diffuse part takes what the lobe leaves; otherwise both are as published, whatever their
+    sum.
     """
     k_d = g.material[k, 0]
     k_s = 0.0
@@ -67,7 +68,7 @@ def lobe_density(cosine_s: float, alpha: float) -> float:
 @compiled
 def dot(a: Any, b: Any) -> float:
     """Return the scalar product of two vectors."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]  # type: ignore[no-any-return]
 
 
 @compiled
@@ -85,7 +86,7 @@ def mirrored(d: Any, n: Any) -> Any:
 
 @compiled
 def row(array: Any, k: int) -> Any:
-    """Return row `k` of an (n, 3) array as three numbers (an array view would count references in every thread)."""
+    """Return row `k` of an (n, 3) array as three numbers (a view would count references in every thread)."""
     return array[k, 0], array[k, 1], array[k, 2]
 
 
