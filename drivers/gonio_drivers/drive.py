@@ -72,7 +72,7 @@ class MotorConfig(AxisConfig):
         half_step_deg = 0.5 / abs(self.steps_per_deg)
         if self.tolerance_deg < half_step_deg:
             raise ValueError(
-                f"tolerance_deg = {self.tolerance_deg:g} deg is finer than half a step, {half_step_deg:.3g} deg: "
+                f"tolerance_deg = {self.tolerance_deg:g} deg is below half a step, {half_step_deg:.3g} deg: "
                 "no move could arrive; raise it"
             )
         return self

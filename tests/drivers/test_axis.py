@@ -356,7 +356,7 @@ def _start_faulty(axis: MotorAxis, motor: Motor) -> None:
 
 
 def test_a_tolerance_finer_than_the_steps_is_a_mistake_in_the_rig_file():
-    with pytest.raises(ValidationError, match="finer than half a step, 0\\.05 deg"):
+    with pytest.raises(ValidationError, match="below half a step, 0\\.05 deg"):
         MotorConfig(steps_per_deg=10.0, limits_deg=(0.0, 90.0))
     with pytest.raises(ValidationError, match="steps_per_deg = 0"):
         MotorConfig(steps_per_deg=0.0, limits_deg=(0.0, 90.0))
