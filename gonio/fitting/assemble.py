@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from gonio.aperture import Aperture, ApertureName
-from gonio.fitting.covariance import CommonMode, random_and_common
+from gonio.fitting.covariance import CommonMode, random_and_common, without_common
 from gonio.fitting.limits import lobe_is_seen, profile_limits
 from gonio.fitting.notes import write_notes
 from gonio.fitting.problem import N2_MAX, N2_MIN, Problem, published_from_basic, published_jacobian
@@ -130,6 +130,9 @@ def _findings(
     residual = y - problem.model(basic)
     chi2 = np.sum(w * residual**2, axis=0)
     scale = chi2 / dof
+    if common is not None:  # the scatter alone, without what positions share
+        clean, taken = without_common(problem, basic, w, residual, common)
+        scale = np.sum(w * clean**2, axis=0) / (dof - taken)
     t = stats.t.ppf(0.5 + 0.5 * CONFIDENCE, dof)
     held = np.zeros((len(basic), 4), bool)
     held[:, 3] = single

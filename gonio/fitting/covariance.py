@@ -28,6 +28,57 @@ class CommonMode:
     offset_u: FloatArray  # in r
 
 
+def without_common(
+    problem: Problem, basic: FloatArray, w: FloatArray, residual: FloatArray, common: CommonMode
+) -> tuple[FloatArray, FloatArray]:
+    """Return residuals (n, m) freed of what the common modes explain, and the degrees of freedom they took, (m,).
+
+    What a baseline error does to S alone the four parameters cannot take up; it stays in the residuals and would pass
+    for noise.  The amplitudes of the modes are estimated from the residuals with their standard uncertainty as prior,
+
+        d = (V' W V / s^2 + 1)^-1 V' W e / s^2,
+
+    V the modes after projection off the parameters, s^2 the variance scale of the residuals, found by iteration.
+    """
+    clean, taken = residual.copy(), np.zeros(len(basic))
+    for at in range(0, len(basic), _BLOCK):
+        part = slice(at, at + _BLOCK)
+        root = np.sqrt(w[:, part].T)
+        j = problem.jacobian(basic[part]) * root[:, :, None]
+        size = np.sqrt(np.sum(j**2, axis=1))
+        j = j / np.where(size > 0.0, size, 1.0)[:, None, :]
+        v = np.stack(_modes(problem, basic[part], common, part), axis=-1) * root.T[:, :, None]
+        v = np.swapaxes(v, 0, 1)  # (m, n, modes), as j
+        normal = np.swapaxes(j, 1, 2) @ j + np.where(size > 0.0, 0.0, 1.0)[:, :, None] * np.eye(4)
+        v = v - j @ (np.nan_to_num(_inverse(normal)) @ (np.swapaxes(j, 1, 2) @ v))
+        e = residual[:, part].T * root
+        gram, pull = np.swapaxes(v, 1, 2) @ v, np.einsum("mnv,mn->mv", v, e)
+        count = np.sum(root > 0.0, axis=1) - 4.0
+        total = np.sum(e**2, axis=1)
+        scale, modes = total / count, np.zeros_like(pull)
+        used = np.zeros(len(total))
+        for _ in range(6):
+            prior = np.maximum(scale, np.finfo(float).tiny)[:, None, None] * np.eye(v.shape[2])
+            ridge = np.linalg.solve(gram + prior, np.concatenate([gram, pull[:, :, None]], axis=2))
+            modes, used = ridge[:, :, -1], np.trace(ridge[:, :, :-1], axis1=1, axis2=2)
+            scale = np.sum((e - np.einsum("mnv,mv->mn", v, modes)) ** 2, axis=1) / (count - used)
+        explained = np.einsum("mnv,mv->mn", v, modes) / np.where(root > 0.0, root, np.inf)
+        clean[:, part] -= explained.T
+        taken[part] = used
+    return clean, taken
+
+
+def _modes(problem: Problem, basic: FloatArray, common: CommonMode, part: slice) -> list[FloatArray]:
+    """Return the shift of every reading by one standard uncertainty of each common mode, (n, m) each."""
+    model = problem.model(basic)
+    return [
+        np.where(chosen[:, None], shift, 0.0)
+        for chosen in (problem.is_s, ~problem.is_s)
+        if np.any(chosen)
+        for shift in (common.gain_u[:, part] * model, common.offset_u[:, part])
+    ]
+
+
 def random_and_common(
     problem: Problem, basic: FloatArray, w: FloatArray, held: BoolArray, common: CommonMode | None
 ) -> tuple[FloatArray, FloatArray]:
@@ -50,14 +101,10 @@ def random_and_common(
         normal = np.swapaxes(wj, 1, 2) @ j + np.where(free, 0.0, 1.0)[:, :, None] * np.eye(4)
         inverse[part] = _inverse(normal)
         if common is not None:
-            model = problem.model(basic[part])
-            for chosen in (problem.is_s, ~problem.is_s):
-                if not np.any(chosen):
-                    continue
-                for v in (common.gain_u[:, part] * model, common.offset_u[:, part]):
-                    pull = np.einsum("mna,nm->ma", wj[:, chosen], v[chosen])
-                    shift = np.einsum("mab,mb->ma", inverse[part], pull)
-                    shared[part] += shift[:, :, None] * shift[:, None, :]
+            for v in _modes(problem, basic[part], common, part):
+                pull = np.einsum("mna,nm->ma", wj, v)
+                shift = np.einsum("mab,mb->ma", inverse[part], pull)
+                shared[part] += shift[:, :, None] * shift[:, None, :]
         known = np.where(free, 1.0, np.nan) / unit
         outer = known[:, :, None] * known[:, None, :]
         inverse[part] *= outer

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from gonio.aperture import APERTURE_NAMES, Aperture, ApertureName
 from gonio.errors import FitError
 from gonio.fitting.assemble import assemble
-from gonio.fitting.covariance import CommonMode, leverage
+from gonio.fitting.covariance import CommonMode, leverage, without_common
 from gonio.fitting.noise import variance_function
 from gonio.fitting.problem import Problem
 from gonio.fitting.result import FitResult, IntervalMethod, PolarizationChoice
@@ -132,11 +132,11 @@ def fit_readings(
     if wavelength.shape != (m,) or detector.shape != (m,):
         raise FitError(f"the readings have {m} wavelengths, but wavelength_nm or detector_index do not; give {m} each")
     single = single_group(problem, used.use)
-    solution, w = _solve(problem, used, single, detector)
     common = None
     if intervals == "wald":
         gain, offset = (np.nan_to_num(_sized(u, n, m)[chosen][:, used.columns]) for u in (gain_u, offset_u))
-        common = CommonMode(gain, offset)
+        common = CommonMode(gain, offset) if np.any(gain) or np.any(offset) else None
+    solution, w = _solve(problem, used, single, detector, common)
     return assemble(
         problem,
         solution,
@@ -198,7 +198,11 @@ class _Used:
 
 
 def _solve(
-    problem: Problem, used: _Used, single: BoolArray, detector: NDArray[np.uint8]
+    problem: Problem,
+    used: _Used,
+    single: BoolArray,
+    detector: NDArray[np.uint8],
+    common: CommonMode | None,
 ) -> tuple[Solution, FloatArray]:
     """Return the optimum and the final weights, (n, k)."""
     w = used.first_weight
@@ -209,7 +213,10 @@ def _solve(
     for _ in range(_ROUNDS):
         model = problem.model(solution.basic)
         lever = np.nan_to_num(leverage(problem, solution.basic, w), nan=0.0)
-        squared = np.where(used.use, (used.y - model) ** 2, 0.0) / np.maximum(1.0 - lever, 0.05)
+        residual = np.where(used.use, used.y - model, 0.0)
+        if common is not None:
+            residual, _ = without_common(problem, solution.basic, w, residual, common)
+        squared = np.where(used.use, residual**2, 0.0) / np.maximum(1.0 - lever, 0.05)
         # residuals of the size of the last digit are rounding, and all weigh alike
         exact = np.sqrt(np.max(squared, axis=0)) < 1e-11 * np.max(np.abs(used.y), axis=0)
         if np.all(exact):

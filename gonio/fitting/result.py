@@ -155,17 +155,17 @@ class FitResult:
         dq = fresnel.reflectance_ratio_dn2(safe_n2, theta_i_deg, "unpolarized")
         kept = lobe_above_horizon(np.exp(safe_a), theta_i_deg)
         dkept = lobe_above_horizon_dlog_alpha(np.exp(safe_a), theta_i_deg)
-        # no lobe: k_n is exactly 0 and its shape does not matter.  One incidence: n2, and so k_s elsewhere, is unknown.
-        unknown = np.where((k_n == 0.0) | np.isfinite(n2), 0.0, np.nan)
+        no_lobe = k_n == 0.0  # then k_g is k_d, and how much k_s may be is unknown
+        unknown = np.where(no_lobe | np.isfinite(n2), 0.0, np.nan)  # one incidence: k_s elsewhere is unknown
 
         def coefficient(diffuse: float, fraction: FloatArray, slope: FloatArray, lobe: float) -> Coefficient:
-            value = diffuse * rho_d + lobe * (k_n * q * fraction + unknown)
-            gradient = np.stack(
-                [np.full_like(k_n, diffuse), lobe * q * fraction, lobe * k_n * q * slope, lobe * k_n * dq * fraction],
-                axis=1,
-            )
-            gradient[:, 1:] += lobe * unknown[:, None]
-            # a zero sensitivity hides an unknown covariance: k_d is known where the lobe is not
+            value, gradient = diffuse * rho_d, np.zeros_like(self.basic)
+            gradient[:, 0] = diffuse
+            if lobe:
+                value = value + k_n * q * fraction + unknown
+                shape = np.stack([q * fraction, k_n * q * slope, k_n * dq * fraction], axis=1) + unknown[:, None]
+                gradient[:, 1:] = np.where(no_lobe[:, None], 0.0 if diffuse else np.nan, shape)
+            # what a coefficient does not depend on may be unknown
             covariance = np.where(gradient[:, :, None] * gradient[:, None, :] == 0.0, 0.0, self.basic_covariance)
             variance = np.einsum("ma,mab,mb->m", gradient, covariance, gradient)
             se = np.sqrt(np.where(variance >= 0.0, variance, np.nan))

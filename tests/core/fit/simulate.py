@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,26 +54,32 @@ def plane_quadrature(
     """
     nodes, weights = np.polynomial.legendre.leggauss(10)
 
-    def rule(width: float) -> tuple[FloatArray, FloatArray]:
-        edges = np.linspace(-width / 2.0, width / 2.0, panels + 1)
+    def rule(*ends: float) -> tuple[FloatArray, FloatArray]:
+        edges = np.concatenate([np.linspace(a, b, panels + 1)[:-1] for a, b in itertools.pairwise(ends)] + [ends[-1:]])
         half = 0.5 * np.diff(edges)[:, None]
         return ((edges[:-1, None] + half) + half * nodes).ravel(), (half * weights).ravel()
 
-    (x, wx), (y, wy) = rule(aperture.width_mm), rule(aperture.height_mm)
+    y, wy = rule(-aperture.height_mm / 2.0, aperture.height_mm / 2.0)
     far = aperture.distance_mm
-    u, v = np.meshgrid(x, y, indexing="ij")
-    length = np.sqrt(u**2 + v**2 + far**2)
-    omega = np.outer(wx, wy) * far / length**3
     reflectance = fresnel_textbook(n2, at.theta_i_deg, at.polarization)
-    r = np.empty(at.theta_i_deg.size)
+    r = np.zeros(at.theta_i_deg.size)
     for k in range(r.size):
         o, i = np.deg2rad(at.theta_o_deg[k]), np.deg2rad(at.theta_i_deg[k])
-        # the arm's axis is (sin o, 0, cos o); the aperture's in-plane direction (cos o, 0, -sin o)
+        # the arm's axis is (sin o, 0, cos o); the aperture's in-plane direction (cos o, 0, -sin o).  The horizon, below
+        # which nothing is, and the edge of cos_+ are lines x = const of the aperture: panels end there.
+        left, right = -aperture.width_mm / 2.0, aperture.width_mm / 2.0
+        horizon, edge = (far / np.tan(angle) if angle != 0.0 else np.inf for angle in (o, o - i))
+        left, right = (max(left, horizon), right) if o < 0.0 else (left, min(right, horizon))
+        if right <= left:
+            continue
+        x, wx = rule(left, edge, right) if left < edge < right else rule(left, right)
+        u, v = np.meshgrid(x, y, indexing="ij")
+        length = np.sqrt(u**2 + v**2 + far**2)
         dx = (far * np.sin(o) + u * np.cos(o)) / length
         dz = (far * np.cos(o) - u * np.sin(o)) / length
         cosine = np.clip(dx * np.sin(i) + dz * np.cos(i), 0.0, None)
         dsf = rho_d / np.pi * dz + rho_s * reflectance[k] * (alpha + 1.0) / (2.0 * np.pi) * cosine**alpha
-        r[k] = np.sum(omega * np.where(dz > 0.0, dsf, 0.0))
+        r[k] = np.sum(np.outer(wx, wy) * far / length**3 * dsf)
     return r
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from simulate import FloatArray, Positions, instrument_noise, plane_quadrature
+from simulate import FloatArray, Positions, fresnel_textbook, instrument_noise, plane_quadrature
 
 from gonio.aperture import Aperture
 from gonio.errors import FitError
@@ -16,9 +16,9 @@ Readings = Callable[..., FloatArray]
 TRUTH = (0.72, 1.0, 90.0, 1.5)
 
 
-def run(at: Positions, r: FloatArray, aperture: Aperture, **options: object) -> FitResult:
+def run(at: Positions, r: FloatArray, instrument: Aperture, /, **options: object) -> FitResult:
     readings = r if r.ndim == 2 else r[:, None]
-    return fit_readings(at.theta_i_deg, at.theta_o_deg, at.polarization, readings, instrument=aperture, **options)  # type: ignore[arg-type]
+    return fit_readings(at.theta_i_deg, at.theta_o_deg, at.polarization, readings, instrument=instrument, **options)  # type: ignore[arg-type]
 
 
 def noisy(r: FloatArray, seed: int, m: int = 8) -> FloatArray:
@@ -45,19 +45,21 @@ def test_without_a_lobe_alpha_and_n2_are_undefined(
 
 
 def test_lobe_inside_one_aperture_bounds_alpha_from_below(positions: Positions, aperture: Aperture) -> None:
-    alpha = 1e5
-    r = plane_quadrature(positions, 0.72, 1.0, alpha, 1.5, aperture, panels=60)
-    fit = run(positions, noisy(r, 3, m=2), aperture)
-    for k in range(2):
-        assert np.isposinf(fit.upper[k, 2])
-        assert 3e3 < fit.lower[k, 2] <= alpha
-        assert np.isnan(fit.se[k, 2])
-        assert "alpha >= " in fit.notes[k]
+    """A mirror under its diffuse light: the aperture catches all of the specular beam or nothing."""
+    diffuse = plane_quadrature(positions, 0.72, 0.0, 0.0, 1.5, aperture, panels=3)
+    inside = np.abs(positions.theta_o_deg - positions.theta_i_deg) < aperture.half_angles_deg[0]
+    r = diffuse + fresnel_textbook(1.5, positions.theta_i_deg, positions.polarization) * inside
+    fit = run(positions, noisy(r, 3), aperture)
+    assert np.all(np.isposinf(fit.upper[:, 2]))
+    assert np.all(fit.lower[:, 2] > 3e3)
+    assert np.all(np.isnan(fit.se[:, 2]))
+    assert all("alpha >= " in note for note in fit.notes)
     # what is left is as well known as ever
-    np.testing.assert_allclose(fit.value[:, [0, 1, 3]], [[0.72, 1.0, 1.5]] * 2, rtol=0.03)
-    assert np.all(np.isfinite(fit.se[:, [0, 1, 3]]))
+    others = [0, 1, 3]
+    z = (fit.value[:, others] - [0.72, 1.0, 1.5]) / fit.se[:, others]
+    assert np.all(np.abs(z) < 4.0)
     k_s = fit.hemispherical(8.0).k_s
-    assert np.all((k_s.lower < 0.04) & (k_s.upper > 0.04))
+    assert np.sum((k_s.lower < 0.04) & (k_s.upper > 0.04)) >= 6
 
 
 def test_wide_lobe_bounds_alpha_from_above(
@@ -75,7 +77,7 @@ def test_index_near_one_leaves_rho_s_without_an_upper_bound(
     positions: Positions, exact_readings: Readings, aperture: Aperture
 ) -> None:
     r = exact_readings(0.3, 120.0, 90.0, 1.02)  # the product rho_s R is 1 %
-    fit = run(positions, noisy(r, 5) + 2e-4 * np.random.default_rng(1).standard_normal((292, 8)), aperture)
+    fit = run(positions, noisy(r, 5) + 2e-3 * np.random.default_rng(1).standard_normal((292, 8)), aperture)
     assert np.all(fit.lower[:, 3] <= 1.02)
     assert np.all(fit.upper[:, 3] >= 1.02)
     is_open = fit.lower[:, 3] == 1.0
@@ -85,7 +87,7 @@ def test_index_near_one_leaves_rho_s_without_an_upper_bound(
     k_s = fit.hemispherical(8.0).k_s
     true_k_s = 120.0 * (0.02 / 2.02) ** 2
     assert np.mean((k_s.lower < true_k_s) & (true_k_s < k_s.upper)) > 0.7
-    assert np.all(k_s.se < 0.1 * true_k_s)
+    assert np.all(k_s.se < 0.2 * true_k_s)
 
 
 def test_one_incidence_and_polarization_tell_the_product_only(
@@ -131,7 +133,7 @@ def test_missing_and_infinite_readings_are_left_out(
     assert np.all(np.isnan(fit.value[2:]))
     assert fit.notes[2] == "only 5 usable readings, too few to fit"
     assert np.all(np.isnan(fit.residual[::7, 0]))
-    assert "only 0 usable readings" in fit.table()
+    assert "only 5 usable readings" in fit.table()
     alone = run(positions, y[:, :2], aperture, wavelength_nm=[400.0, 410.0])
     np.testing.assert_allclose(alone.value, fit.value[:2], rtol=1e-9)
 

@@ -24,9 +24,9 @@ TRUTHS = (
 )
 
 
-def run(at: Positions, r: FloatArray, aperture: Aperture, **options: object) -> FitResult:
+def run(at: Positions, r: FloatArray, instrument: Aperture, /, **options: object) -> FitResult:
     readings = r if r.ndim == 2 else r[:, None]
-    return fit_readings(at.theta_i_deg, at.theta_o_deg, at.polarization, readings, instrument=aperture, **options)  # type: ignore[arg-type]
+    return fit_readings(at.theta_i_deg, at.theta_o_deg, at.polarization, readings, instrument=instrument, **options)  # type: ignore[arg-type]
 
 
 def test_simulation_reproduces_the_aperture_reference(aperture: Aperture) -> None:
