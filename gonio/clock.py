@@ -22,11 +22,11 @@ class Clock:
     """
 
     speed: float = 1.0
-    _origin_s: float = field(default_factory=time.monotonic)
+    _origin_s: float = field(default_factory=time.perf_counter)
 
     def now_s(self) -> float:
         """Return instrument seconds since this clock was made."""
-        return (time.monotonic() - self._origin_s) * self.speed
+        return (time.perf_counter() - self._origin_s) * self.speed
 
     def sleep(self, duration_s: float) -> None:
         """Wait `duration_s` instrument seconds; return at once for zero or less."""

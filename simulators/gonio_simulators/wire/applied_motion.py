@@ -23,15 +23,15 @@ class AppliedMotionLine:
         *,
         theta_i: int,
         theta_mes: int,
-        steps_per_turn: tuple[float, float],
+        steps_per_rev: tuple[float, float],
         framing: Framing,
         word_order: WordOrder,
     ) -> None:
         motors = (bench.theta_i, bench.theta_mes)
         self._framing = framing
         self._drives = {
-            unit: Drive(motor, steps_per_turn=steps, word_order=word_order)
-            for unit, motor, steps in zip((theta_i, theta_mes), motors, steps_per_turn, strict=True)
+            unit: Drive(motor, steps_per_rev=steps, word_order=word_order)
+            for unit, motor, steps in zip((theta_i, theta_mes), motors, steps_per_rev, strict=True)
         }
 
     def open(self) -> RtuConversation | MbapConversation:

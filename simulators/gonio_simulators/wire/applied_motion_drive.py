@@ -54,15 +54,15 @@ class Drive:
     ----------
     motor
         What it turns.
-    steps_per_turn
+    steps_per_rev
         Microsteps of one revolution of the motor (the drive's parameter EG), which scale speeds.
     word_order
         Which half of a 32-bit value has the lower address.
     """
 
-    def __init__(self, motor: Motor, *, steps_per_turn: float, word_order: WordOrder) -> None:
+    def __init__(self, motor: Motor, *, steps_per_rev: float, word_order: WordOrder) -> None:
         self.motor = motor
-        self._steps_per_turn = steps_per_turn
+        self._steps_per_rev = steps_per_rev
         self._high_first = word_order == "big"
         self._offset = 0  # SP renames where the counter stands
         hardware = motor.hardware
@@ -71,10 +71,10 @@ class Drive:
         self._moved_while_disabled = False
         self._stopping = False
         self._registers = [0] * _REGISTERS
-        acceleration = round(motor.acceleration_steps_s2 / steps_per_turn * ACCELERATION_UNIT)
+        acceleration = round(motor.acceleration_steps_s2 / steps_per_rev * ACCELERATION_UNIT)
         self._registers[ACCELERATION] = self._registers[DECELERATION] = min(max(acceleration, 1), 32767)
         self._registers[VELOCITY] = min(
-            max(round(motor.speed_steps_s / steps_per_turn * SPEED_UNIT), 1), 32000
+            max(round(motor.speed_steps_s / steps_per_rev * SPEED_UNIT), 1), 32000
         )
         self._opcodes = {
             0x66: self._feed_length,  # FL
@@ -215,8 +215,8 @@ class Drive:
 
     def _take_over_profile(self) -> None:
         acceleration = min(self._registers[ACCELERATION], self._registers[DECELERATION])
-        self.motor.acceleration_steps_s2 = acceleration / ACCELERATION_UNIT * self._steps_per_turn
-        self.motor.speed_steps_s = self._registers[VELOCITY] / SPEED_UNIT * self._steps_per_turn
+        self.motor.acceleration_steps_s2 = acceleration / ACCELERATION_UNIT * self._steps_per_rev
+        self.motor.speed_steps_s = self._registers[VELOCITY] / SPEED_UNIT * self._steps_per_rev
 
     def _refresh(self) -> None:
         motor, registers = self.motor, self._registers
@@ -239,7 +239,7 @@ class Drive:
         position = motor.position_steps() - self._offset
         self._put_s32(ENCODER, position)
         self._put_s32(POSITION, position)
-        speed = round(motor.speed_now_steps_s() / self._steps_per_turn * SPEED_UNIT)
+        speed = round(motor.speed_now_steps_s() / self._steps_per_rev * SPEED_UNIT)
         registers[SPEED_NOW] = registers[SPEED_WANTED] = speed & 0xFFFF
         registers[TEMPERATURE], registers[BUS_VOLTAGE] = 352, 480  # 0.1 degC, 0.1 V
 

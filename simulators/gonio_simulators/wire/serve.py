@@ -32,7 +32,7 @@ class _Table(BaseModel):
 
 class _AxisTable(_Table):
     device: Annotated[int, Field(strict=True, ge=1, le=99)]
-    steps_per_turn: Positive = 20000.0
+    steps_per_rev: Positive = 20000.0
 
 
 class _StageTable(_Table):
@@ -178,7 +178,7 @@ def _stage(bench: Bench, table: _StageTable, source: str) -> tuple[str, Instrume
         return AppliedMotionLine(
             bench,
             **numbers,
-            steps_per_turn=(table.theta_i.steps_per_turn, table.theta_mes.steps_per_turn),
+            steps_per_rev=(table.theta_i.steps_per_rev, table.theta_mes.steps_per_rev),
             framing=table.framing,
             word_order=table.word_order,
         )

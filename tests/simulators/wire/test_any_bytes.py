@@ -23,7 +23,7 @@ def _bench() -> StillBench:
 
 def _drives(framing: str) -> AppliedMotionLine:
     return AppliedMotionLine(
-        _bench(), theta_i=1, theta_mes=2, steps_per_turn=(2e4, 2e4), framing=framing, word_order="big"
+        _bench(), theta_i=1, theta_mes=2, steps_per_rev=(2e4, 2e4), framing=framing, word_order="big"
     )
 
 
