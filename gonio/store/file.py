@@ -102,7 +102,7 @@ class ScanFile:
         data["polarization"][...] = np.array([p.polarization for p in positions], dtype=one_letter)
         names = [detector.name for detector in header.rig.detectors]
         data.create_dataset("detector_names", data=names, dtype=h5py.string_dtype("utf-8"))
-        self._columns = {name: data[name] for name in COLUMNS}
+        self._use_columns(data)
         write_sweeps(entry, positions)
         self._describe_references(entry, m)
         events = nexus_group(entry, "events", "NXcollection")
@@ -110,6 +110,14 @@ class ScanFile:
             events.create_dataset(name, (0,), dtype=h5py.string_dtype("utf-8"), maxshape=(None,))
         _growing(events, "time", "f8", (), "s", "instrument time since the scan began")
         self._entry = entry
+
+    def _use_columns(self, data: h5py.Group) -> None:
+        """Keep the columns at hand, and what a write to each needs: making that costs more than the write."""
+        self._columns = {name: data[name] for name in COLUMNS}
+        self._places = {
+            name: (dataset.id, dataset.id.get_space(), h5py.h5t.py_create(dataset.dtype))
+            for name, dataset in self._columns.items()
+        }
 
     def _describe_references(self, entry: h5py.Group, m: int) -> None:
         group = nexus_group(entry, "references", "NXcollection")
@@ -184,12 +192,11 @@ class ScanFile:
                 self._put(name, rows, values)
 
     def _put(self, name: str, rows: slice, values: NDArray[Any]) -> None:
-        """Write rows of a column by h5py's low level; the high one would cost as much as all the rest."""
-        dataset = self._columns[name].id
+        """Write rows of a column by h5py's low level, which takes a tenth of the time of the high one."""
+        dataset, place, memory_type = self._places[name]
         contiguous = np.ascontiguousarray(values, dtype=COLUMNS[name].dtype)
-        place = dataset.get_space()
         place.select_hyperslab((rows.start,) + (0,) * (contiguous.ndim - 1), contiguous.shape)
-        dataset.write(h5py.h5s.create_simple(contiguous.shape), place, contiguous)
+        dataset.write(h5py.h5s.create_simple(contiguous.shape), place, contiguous, memory_type)
 
     def _write_reduced(self, rows: slice, reduced: Reduced) -> None:
         for name, values in (
@@ -259,7 +266,7 @@ class ScanFile:
             self.path = path
             self._file = h5py.File(path, "r+")
             self._entry = self._file["entry"]
-            self._columns = {name: self._entry["data"][name] for name in COLUMNS}
+            self._use_columns(self._entry["data"])
 
 
 def _growing(
