@@ -1,9 +1,9 @@
 """What are the results, in a few numbers?  Averages over wavelength bands, beside the sphere and the truth.
 
-A band's value is the plain mean of its wavelengths.  Its uncertainty is the mean of their half 95 %
-intervals, not divided by their number: the baseline, the dark reading and the alignment err for all
-wavelengths alike, and a mean over wavelengths does not take that away.  The standard error of the mean
-would be smaller and would claim too much.
+The bands and the rule are those of the table that `gonio fit` prints: the plain mean of a band's
+wavelengths, and half the 95 % interval of that mean with the wavelengths independent of each other.  The
+sphere's uncertainty is taken as common to all wavelengths.  A band that would span a detector change is
+split there.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from gonio.fitting.table import BANDS
 from gonio.report.agreement import SPHERE_THETA_I_DEG, sphere_of
 from gonio.report.content import Content
 from gonio.report.page import MISSING, Block, Table, Tile, number, with_uncertainty
@@ -24,27 +25,23 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 VISIBLE_NM = (380.0, 740.0)
-MOST_BANDS = 12
 HEADS = {
-    "rho_d": "ρ<sub>d</sub>",
     "rho_s": "ρ<sub>s</sub>",
     "alpha": "α",
     "n2": "n<sub>2</sub>",
-    "k_d": "k<sub>d</sub> / %",
+    "k_d": "k<sub>d</sub> = ρ<sub>d</sub> / %",
     "k_s": "k<sub>s</sub> / %",
     "k_g": "k<sub>g</sub> / %",
 }
 
 
 def bands(wavelength_nm: FloatArray, changes_nm: tuple[float, ...]) -> list[NDArray[np.intp]]:
-    """Return the indices of the wavelengths in bands of 100 nm or more, none across a detector change."""
-    width = 100.0
-    while np.ptp(wavelength_nm) / width > MOST_BANDS:
-        width *= 2.0
-    number_of_band = np.floor(wavelength_nm / width)
+    """Return the indices of the wavelengths in each band, none across a detector change."""
+    edges = [low for low, _ in BANDS] + [np.nextafter(BANDS[-1][1], np.inf)]  # the last band includes its end
+    number_of_band = np.searchsorted(edges, wavelength_nm, side="right")
     number_of_detector = np.searchsorted(np.asarray(changes_nm, dtype=np.float64), wavelength_nm)
-    keys = sorted(set(zip(number_of_detector.tolist(), number_of_band.tolist(), strict=True)))
-    return [np.flatnonzero((number_of_detector == d) & (number_of_band == b)) for d, b in keys]
+    keys = sorted(set(zip(number_of_band.tolist(), number_of_detector.tolist(), strict=True)))
+    return [np.flatnonzero((number_of_band == b) & (number_of_detector == d)) for b, d in keys]
 
 
 def band_table(content: Content, fit: FitResult) -> list[Block]:
@@ -53,35 +50,46 @@ def band_table(content: Content, fit: FitResult) -> list[Block]:
     columns = _columns(fit)
     sphere = sphere_of(content)
     head: list[str | Markup] = ["band / nm", *(Markup(HEADS[name]) for name in columns)]
-    reference = None
+    reference = expanded = np.empty(0)
     if sphere is not None:
         reference = 100.0 * np.interp(
             wavelength_nm, sphere.wavelength_nm, sphere.value, left=np.nan, right=np.nan
         )
         expanded = 100.0 * np.interp(wavelength_nm, sphere.wavelength_nm, sphere.expanded)
-        head.append("sphere / %")
-    truth = {
-        name: (100.0 if name in ("k_g", "k_s") else 1.0) * content.truth.at(wavelength_nm, name)
-        for name in ("k_g", "k_s")
-        if content.truth is not None and content.truth.column(name) is not None
-    }
-    head += [Markup(HEADS[name].replace(" / %", "") + ", true / %") for name in truth]
+        head += ["sphere / %", Markup("E<sub>n</sub>")]
     rows = []
     for inside in bands(wavelength_nm, content.scan.detector_change_nm):
         low, high = wavelength_nm[inside[0]], wavelength_nm[inside[-1]]
         row: list[str | Markup] = [f"{low:g}–{high:g}" if high > low else f"{low:g}"]
-        row += [with_uncertainty(*_mean(value[inside], half[inside])) for value, half in columns.values()]
-        if reference is not None:
-            row.append(with_uncertainty(*_mean(reference[inside], expanded[inside])))
-        row += [number(_mean(values[inside], values[inside])[0]) for values in truth.values()]
+        for name, (value, half) in columns.items():
+            text = with_uncertainty(*_mean(value[inside], half[inside]))
+            true = _true(content, name, wavelength_nm[inside])
+            row.append(Markup("{}<br><small>true {}</small>").format(text, true) if true else text)
+        if sphere is not None:
+            k_g, own = _mean(columns["k_g"][0][inside], columns["k_g"][1][inside])
+            mean, u = float(np.mean(reference[inside])), float(np.mean(expanded[inside]))
+            row += [with_uncertainty(mean, u), _e_n((k_g - mean) / np.hypot(own, u))]
         rows.append(row)
     note = Markup(
-        "Each entry: mean over the wavelengths of the band ± mean half-width of their 95 % intervals. "
-        "The half-width is not divided by the number of wavelengths, since baseline, dark reading and "
-        "alignment err for all of them alike. No band spans a detector change. k at {:g}° incidence, "
-        "mean of S and P."
+        "Each entry: plain mean over the wavelengths of the band ± half the 95 % interval of that mean, "
+        "the wavelengths taken as independent of each other (noise of readings, baseline and dark); the "
+        "sphere's uncertainty is taken as common to them. Errors that all wavelengths share, such as the "
+        "aperture's distance or the alignment, are not in it. No band spans a detector change. k at "
+        "{:g}° incidence, mean of S and P, lobe above the horizon."
     ).format(SPHERE_THETA_I_DEG)
     return [Table(head, rows, note)]
+
+
+def _true(content: Content, name: str, wavelength_nm: FloatArray) -> str:
+    """Return the mean of the simulated bench's truth in a band, empty if it is not known."""
+    if content.truth is None:
+        return ""
+    mean = float(np.mean(content.truth.at(wavelength_nm, name)))
+    return number(100.0 * mean if name.startswith("k_") else mean) if np.isfinite(mean) else ""
+
+
+def _e_n(value: float) -> str:
+    return f"{value:.2f}".replace("-", "−") if np.isfinite(value) else MISSING
 
 
 def summary_tiles(fit: FitResult) -> list[Tile]:
@@ -108,19 +116,20 @@ def summary_tiles(fit: FitResult) -> list[Tile]:
 def _columns(fit: FitResult) -> dict[str, tuple[FloatArray, FloatArray]]:
     """Return value and half 95 % interval of everything in the table, each (n_wavelength,); k in percent."""
     found = {
-        name: (fit.value[:, i], 0.5 * (fit.upper[:, i] - fit.lower[:, i]))
+        name: (fit.value[:, i], fit.quantile * fit.se[:, i])
         for i, name in enumerate(fit.parameters)
+        if name in HEADS  # rho_d is k_d
     }
     hemispherical = fit.hemispherical(theta_i_deg=SPHERE_THETA_I_DEG)
     for name in ("k_d", "k_s", "k_g"):
         k = getattr(hemispherical, name)
-        found[name] = (100.0 * k.value, 50.0 * (k.upper - k.lower))
+        found[name] = (100.0 * k.value, 100.0 * fit.quantile * k.se)
     return found
 
 
 def _mean(value: FloatArray, half: FloatArray) -> tuple[float, float]:
-    """Return the means over the wavelengths with a value; one unbounded interval unbounds the mean."""
+    """Return the mean over the wavelengths with a value, and half its 95 % interval."""
     known = np.isfinite(value)
     if not np.any(known):
         return float("nan"), float("nan")
-    return float(np.mean(value[known])), float(np.mean(half[known]))
+    return float(np.mean(value[known])), float(np.sqrt(np.sum(half[known] ** 2)) / np.sum(known))

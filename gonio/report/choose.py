@@ -62,14 +62,24 @@ def curve(scan: Scan, rows: NDArray[np.intp], column: int) -> tuple[FloatArray, 
     Unusable readings are NaN.  A NaN is put where the sweep jumps over the incident beam (theta_o =
     -theta_i), so that no line crosses the blind zone.
     """
-    theta_o_deg = np.asarray(scan.theta_o_deg, dtype=np.float64)[rows]
     usable = scan.usable[rows, column]
-    r = np.where(usable, scan.r[rows, column], np.nan)
-    u = np.where(usable, scan.r_sd[rows, column], np.nan)
-    theta_mes_deg = np.asarray(scan.theta_mes_deg, dtype=np.float64)[rows]
+    r, theta_o_deg = with_gaps(scan, rows, np.where(usable, scan.r[rows, column], np.nan))
+    u, _ = with_gaps(scan, rows, np.where(usable, scan.r_sd[rows, column], np.nan))
+    return theta_o_deg, r, u
+
+
+def with_gaps(scan: Scan, rows: NDArray[np.intp], value: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return values of a sweep and their theta_o, deg, with a NaN where the sweep jumps over the beam."""
+    theta_mes_deg, theta_o_deg = scan.theta_mes_deg[rows], scan.theta_o_deg[rows]
     jump = np.flatnonzero((theta_mes_deg[:-1] < 0) & (theta_mes_deg[1:] > 0)) + 1
-    middle = -np.asarray(scan.theta_i_deg, dtype=np.float64)[rows][jump - 1] if jump.size else np.empty(0)
-    return np.insert(theta_o_deg, jump, middle), np.insert(r, jump, np.nan), np.insert(u, jump, np.nan)
+    beam_deg = -scan.theta_i_deg[rows][jump - 1]
+    return np.insert(value, jump, np.nan), np.insert(theta_o_deg, jump, beam_deg)
+
+
+def change_texts(scan: Scan) -> list[str]:
+    """Return the wavelengths on either side of each detector change, as ``850–860 nm``."""
+    last = np.flatnonzero(np.diff(scan.detector_index.astype(np.int16)) != 0)
+    return [f"{scan.wavelength_nm[i]:g}–{scan.wavelength_nm[i + 1]:g} nm" for i in last]
 
 
 def name_of(polarization: str) -> str:

@@ -5,22 +5,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gonio.report import choose, style
 from gonio.report.content import Content
+from gonio.report.model import Model
 
 if TYPE_CHECKING:
     from gonio.fitting import FitResult
 
-FloatArray = NDArray[np.float64]
-STEP_DEG = 0.25  # of the model's curve: the lobe is several degrees wide behind the aperture
 COVERAGE = 2.0  # of the error bars
 
 
-def draw_curves(content: Content, column: int) -> style.Drawing:
+def draw_curves(content: Content, model: Model, column: int) -> style.Drawing:
     """Draw readings with error bars, fitted curves and residuals of all incidences at one wavelength."""
-    scan, fit = content.scan, content.main_fit()
+    scan = content.scan
     wavelength_nm = float(scan.wavelength_nm[column])
     present = choose.polarizations(scan)
     angles = choose.incidences(scan)
@@ -48,21 +46,21 @@ def draw_curves(content: Content, column: int) -> style.Drawing:
             }
             bars = np.where(np.isfinite(u), COVERAGE * u, 0.0)
             upper.errorbar(theta_o_deg, 100.0 * r, yerr=100.0 * bars, zorder=2.5, **points)
-            if fit is None or fit.polarization not in ("joint", polarization):
+            if (theta_i_deg, polarization) not in model.curves:
                 continue
-            dense_deg = dense_angles(theta_o_deg)
+            dense_deg, smooth = model.curves[theta_i_deg, polarization]
             (line,) = upper.plot(
                 dense_deg,
-                100.0 * predicted(fit, theta_i_deg, dense_deg, polarization)[:, column],
+                100.0 * smooth[:, column],
                 color=palette[i],
                 linewidth=1.1,
                 zorder=2.2,
                 label="_fit",
             )
             line.set_gid("fit")
-            residual = r - _at_readings(fit, content, rows, theta_o_deg, polarization, column)
-            lower.errorbar(theta_o_deg, 100.0 * residual, yerr=100.0 * bars, **points)
-            worst = max(worst, 100.0 * float(np.nanmax(np.abs(residual), initial=0.0)))
+            expected, _ = choose.with_gaps(scan, rows, model.expected[rows, column])
+            lower.errorbar(theta_o_deg, 100.0 * (r - expected), yerr=100.0 * bars, **points)
+            worst = max(worst, 100.0 * float(np.nanmax(np.abs(r - expected), initial=0.0)))
         lower.set_xlabel("observation angle θₒ / °")
     panels[0, 0].set_ylabel("r / % of incident power")
     panels[1, 0].set_ylabel("data − fit / %")
@@ -70,19 +68,16 @@ def draw_curves(content: Content, column: int) -> style.Drawing:
         axes.margins(x=0.02)
     panels[0, 0].set_ylim(bottom=min(0.0, panels[0, 0].get_ylim()[0]))
     panels[0, 0].legend(loc="upper left")
-    described = (
-        f"Lines: the fitted model ({describe(fit)}) seen through the aperture; lower panels: data minus "
-        f"fit, at most {worst:.2g} % of the incident power here."
-        if fit is not None
-        else "No fit is stored in this file."
-    )
+    style.place(figure)
     return style.Drawing(
         name=f"fit_{wavelength_nm:.0f}nm",
         title=f"Fit over data at {wavelength_nm:g} nm (after the paper's Figure 9)",
         caption=(
             f"Points: readings at {wavelength_nm:g} nm with ±2 standard uncertainties (random part only, "
-            f"often smaller than the marker). {described} A pattern common to all incidences in the "
-            "residuals points to the model or the alignment, scatter within the bars to noise alone."
+            f"often smaller than the marker). Lines: the fitted model ({describe(model.fit)}) seen "
+            f"through the aperture; lower panels: data minus fit, at most {worst:.2g} % of the incident "
+            "power here. A pattern common to all incidences in the residuals points to the model or the "
+            "alignment, scatter within the bars to noise alone."
         ),
         figure=figure,
     )
@@ -100,33 +95,3 @@ def describe(fit: FitResult) -> str:
         "published": "the paper's ±13° aperture",
     }.get(fit.aperture, fit.aperture)
     return f"{which}, {aperture}"
-
-
-def dense_angles(theta_o_deg: FloatArray) -> FloatArray:
-    """Return angles for a smooth curve over the measured range, with the measured gaps around NaN kept."""
-    low, high = float(np.min(theta_o_deg)), float(np.max(theta_o_deg))
-    return np.linspace(low, high, max(2, round((high - low) / STEP_DEG) + 1))
-
-
-def predicted(fit: FitResult, theta_i_deg: float, theta_o_deg: FloatArray, polarization: str) -> FloatArray:
-    """Return the fitted r at the given angles, (n_angle, n_wavelength)."""
-    return np.asarray(
-        fit.predict(
-            np.full(theta_o_deg.shape, theta_i_deg), theta_o_deg, np.full(theta_o_deg.shape, polarization)
-        ),
-        dtype=np.float64,
-    )
-
-
-def _at_readings(
-    fit: FitResult,
-    content: Content,
-    rows: NDArray[np.intp],
-    theta_o_deg: FloatArray,
-    polarization: str,
-    column: int,
-) -> FloatArray:
-    """Return the fitted r at `theta_o_deg`, each reading at its own read-back incidence."""
-    incidence_deg = np.interp(theta_o_deg, content.scan.theta_o_deg[rows], content.scan.theta_i_deg[rows])
-    r = fit.predict(incidence_deg, theta_o_deg, np.full(theta_o_deg.shape, polarization))
-    return np.asarray(r, dtype=np.float64)[:, column]

@@ -11,30 +11,27 @@ from numpy.typing import NDArray
 
 from gonio.report import choose, style
 from gonio.report.content import Content, References
+from gonio.report.model import Model
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from gonio.fitting import FitResult
-
 FloatArray = NDArray[np.float64]
 
 POLARIZATION_COLOURS = {"s": style.BLUE, "p": style.VERMILLION, "any": style.BLACK}
+REACH = 4.0  # of the colour scale, standard deviations
 DASHES: tuple[object, ...] = ("-", (0, (4, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))
 
 
-def draw_residuals(content: Content, fit: FitResult) -> style.Drawing:
-    """Draw (data - fit) / fit as a map of position over wavelength for each polarization."""
+def draw_residuals(content: Content, model: Model) -> style.Drawing:
+    """Draw (data - fit) / standard deviation as a map of position over wavelength by polarization."""
     scan = content.scan
-    present = [p for p in choose.polarizations(scan) if fit.polarization in ("joint", p)]
-    figure = style.new_figure(9.8 if len(present) > 1 else 6.0, 4.6)
+    present = [p for p in choose.polarizations(scan) if model.fit.polarization in ("joint", p)]
+    figure = style.new_figure(9.8 if len(present) > 1 else 6.0, 4.6, automatic=True)
     panels = figure.subplots(1, len(present), squeeze=False)[0]
     angles = choose.incidences(scan)
-    maps = [relative_residual(content, fit, p, angles) for p in present]
-    known = np.abs(np.concatenate([np.ravel(m[1]) for m in maps]))
-    known = known[np.isfinite(known)]
-    reach = max(float(np.percentile(known, 98.0)), 1e-6) if known.size else 1.0
-    norm = TwoSlopeNorm(0.0, -reach, reach)
+    maps = [normalised_residual(content, model, p, angles) for p in present]
+    norm = TwoSlopeNorm(0.0, -REACH, REACH)
     mesh = None
     for axes, polarization, (rows, relative) in zip(panels, present, maps, strict=True):
         axes.grid(False)
@@ -59,46 +56,45 @@ def draw_residuals(content: Content, fit: FitResult) -> style.Drawing:
     panels[0].set_ylabel("incidence, within it θₒ upwards / °")
     if mesh is not None:
         bar = figure.colorbar(mesh, ax=list(panels), extend="both", pad=0.015, aspect=32)
-        bar.set_label("(data − fit) / fit / %")
+        bar.set_label("(data − fit) / standard deviation / 1")
         bar.outline.set_visible(False)  # type: ignore[operator]
-    spread = 100.0 * _spread(maps)
+    known = np.abs(np.concatenate([np.ravel(m[1]) for m in maps])) if maps else np.empty(0)
+    known = known[np.isfinite(known)]
+    shares = (
+        f" Beyond ±2: {100 * np.mean(known > 2):.1f} % of the readings (Gaussian noise: 4.6 %), beyond ±3: "
+        f"{100 * np.mean(known > 3):.2f} % (0.27 %)."
+        if known.size
+        else ""
+    )
     return style.Drawing(
         name="residuals",
         title="Residuals of the fit, every reading",
         caption=(
-            "Data minus fit relative to the fit, in percent, for every position and wavelength. Within "
-            "each incidence the observation angle grows upwards; grey is missing or flagged. The colour "
-            f"scale ends at the 98th percentile; half of all residuals are within ±{spread:.2g} %. Noise "
-            "looks like grain. Horizontal stripes at the mirror directions tell of the lobe's shape or "
-            "of alignment, vertical ones of a wavelength or detector, a trend along the scan of drift."
+            "Data minus fit over the standard deviation that the fit found for each reading, for every "
+            "position and wavelength; grey is missing, flagged or a detector change. Within each "
+            "incidence the observation angle grows upwards, the small triangles mark the mirror "
+            f"directions.{shares} Noise looks like grain. Horizontal stripes at the mirror directions "
+            "tell of the lobe's shape or of alignment, vertical ones of a wavelength or detector, a "
+            "trend along the scan of drift."
         ),
         figure=figure,
     )
 
 
-def relative_residual(
-    content: Content, fit: FitResult, polarization: str, angles: list[float]
+def normalised_residual(
+    content: Content, model: Model, polarization: str, angles: list[float]
 ) -> tuple[NDArray[np.intp], FloatArray]:
-    """Return the positions by incidence and theta_o, and 100 (r - fit) / fit as (n_row, n_wavelength)."""
+    """Return the positions by incidence and theta_o, and (r - fit) / sigma, (n_row, n_wavelength)."""
     scan = content.scan
     rows = np.concatenate(
         [np.empty(0, dtype=np.intp), *(choose.sweep(scan, a, polarization) for a in angles)]
     )
     if rows.size == 0:
         return rows, np.empty((0, scan.wavelength_nm.size))
-    expected = np.asarray(
-        fit.predict(scan.theta_i_deg[rows], scan.theta_o_deg[rows], scan.polarization[rows])
-    )
     r = np.where(scan.usable[rows], scan.r[rows], np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
-        relative = 100.0 * (r - expected) / expected
-    return rows, np.where(np.isfinite(relative), relative, np.nan)
-
-
-def _spread(maps: list[tuple[NDArray[np.intp], FloatArray]]) -> float:
-    values = np.abs(np.concatenate([np.ravel(m[1]) for m in maps]))
-    values = values[np.isfinite(values)]
-    return float(np.median(values)) / 100.0 if values.size else float("nan")
+        z = (r - model.expected[rows]) / model.sigma[rows]
+    return rows, np.where(np.isfinite(z), z, np.nan)
 
 
 def _edges(centres: FloatArray) -> FloatArray:
@@ -179,13 +175,13 @@ def draw_references(content: Content, references: References) -> style.Drawing:
                 0.5, 0.5, "no repeated reading", transform=axes.transAxes, ha="center", color=style.GREY
             )
         axes.axhline(0.0, color=style.BLACK, linewidth=0.8, zorder=1.5)
-        style.mark_changes(axes, scan.detector_change_nm, text=axes is upper)
+        style.mark_changes(axes, scan.detector_change_nm, choose.change_texts(scan) if axes is upper else ())
     level = np.abs(scan.r[scan.usable])
-    typical = f"{1e6 * float(np.median(level)):.2g}" if level.size else "unknown"
+    typical = f"{1e6 * float(np.median(level)):,.0f}" if level.size else "an unknown level"
     upper.set_ylabel("baseline / first − 1 / %")
     lower.set_ylabel("dark / baseline / 10⁻⁶")
     style.wavelength_axis(lower, scan.wavelength_nm)
-    figure.align_ylabels([upper, lower])
+    style.place(figure, gap_y_in=0.34)
     return style.Drawing(
         name="references",
         title="Drift of the reference readings",

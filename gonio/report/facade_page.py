@@ -95,10 +95,10 @@ def _energy(irradiance: Irradiance) -> Sequence[Block]:
     created = f", {energy.created_w:.3g} W created by the published lobe" if energy.created_w > 0 else ""
     return [
         Text(
-            f"Energy of the photons followed through lobes: {energy.emitted_w:.4g} W sent out{created}, "
-            f"{energy.absorbed_w:.4g} W absorbed ({energy.under_horizon_w:.2g} W of it sent below the "
-            f"horizon by the lobe), {energy.escaped_w:.4g} W escaped; the books balance to "
-            f"{abs(energy.residual):.0e}."
+            f"Energy of the photons followed through lobes: {energy.emitted_w / 1e3:.4g} kW sent "
+            f"out{created}, {energy.absorbed_w / 1e3:.4g} kW absorbed (of it {energy.under_horizon_w:.3g} "
+            f"W sent below the horizon by the lobe), {energy.escaped_w / 1e3:.4g} kW escaped; the books "
+            f"balance to {abs(energy.residual):.0e}."
         )
     ]
 

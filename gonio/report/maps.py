@@ -40,7 +40,7 @@ def draw_maps(receivers: Sequence[Receiver], *, first: int = 0) -> style.Drawing
     aspects = [_aspect(r) for r in shown]
     map_width_in = 3.9
     heights = [float(np.clip(map_width_in * a, 0.7, 3.6)) for a in aspects]
-    figure = style.new_figure(9.8, sum(heights) + 0.85 * len(shown) + 0.5)
+    figure = style.new_figure(9.8, sum(heights) + 0.72 * len(shown) + 0.2, automatic=True)
     panels = figure.subplots(len(shown), 2, squeeze=False, gridspec_kw={"height_ratios": heights})
     columns = (
         ("total irradiance", "viridis", [r.value for r in receivers]),
@@ -79,7 +79,7 @@ def draw_maps(receivers: Sequence[Receiver], *, first: int = 0) -> style.Drawing
 def draw_contributions(receivers: Sequence[Receiver]) -> style.Drawing:
     """Draw the mean of each contribution on each receiver as bars with their standard errors."""
     thickness = 0.19
-    figure = style.new_figure(8.6, 1.3 + 1.05 * len(receivers))
+    figure = style.new_figure(8.6, 1.3 + 1.05 * len(receivers), automatic=True)
     axes = figure.add_subplot()
     axes.grid(visible=False, axis="y")
     largest = 0.0

@@ -148,7 +148,9 @@ def _draw_legend(figure: Figure, angles: list[float], palette: list[Any], *, bli
     ]
     if blind:
         handles.append(Line2D([], [], color="#666666", linewidth=2.4, label="blind zone of that incidence"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 6))
+    figure.legend(handles=handles, loc="lower center", ncols=min(len(handles), 6))
+    rows = -(-len(handles) // 6)
+    style.place(figure, left_in=0.05, right_in=0.05, bottom_in=0.35 + 0.2 * rows, top_in=0.28, gap_x_in=0.1)
 
 
 def _round_up(value: float) -> float:

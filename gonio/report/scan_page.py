@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +18,7 @@ from gonio.report.bands import band_table, summary_tiles
 from gonio.report.content import Content, file_facts
 from gonio.report.curves import describe, draw_curves
 from gonio.report.diagnostics import draw_references, draw_residuals
+from gonio.report.model import model_of
 from gonio.report.page import (
     Block,
     Details,
@@ -44,6 +46,7 @@ def scan_page(content: Content, figures: Path, further: Sequence[Section] = ()) 
     scan, fit = content.scan, content.main_fit()
     columns = choose.shown_wavelengths(scan)
     comparison = compare(content, fit) if fit is not None else None
+    model = model_of(scan, fit) if fit is not None else None
 
     def drawn(drawing: style.Drawing) -> Block:
         return save_picture(drawing, figures)
@@ -54,20 +57,20 @@ def scan_page(content: Content, figures: Path, further: Sequence[Section] = ()) 
     if fit is not None:
         sections.append(Section("bands", "Results by wavelength band", band_table(content, fit)))
     sections.append(Section("readings", "Raw readings", [drawn(draw_polar(content, c)) for c in columns]))
-    if fit is not None:
+    if fit is not None and model is not None:
         spectra: list[Block] = [drawn(draw_coefficients(content, fit))]
         alone = [f for f in (content.fit_of("s"), content.fit_of("p")) if f is not None and f is not fit]
         if alone:
             spectra.append(drawn(draw_coefficients_alone(content, alone)))
         spectra += [drawn(draw_index(content, fit)), drawn(draw_parameters(content, fit))]
         sections += [
-            Section("fit", "Fit over data", [drawn(draw_curves(content, c)) for c in columns]),
+            Section("fit", "Fit over data", [drawn(draw_curves(content, model, c)) for c in columns]),
             Section("spectra", "Coefficients over wavelength", spectra),
         ]
     sections += further
     diagnostics: list[Block] = []
-    if fit is not None:
-        diagnostics.append(drawn(draw_residuals(content, fit)))
+    if model is not None:
+        diagnostics.append(drawn(draw_residuals(content, model)))
     if content.references is not None:
         diagnostics.append(drawn(draw_references(content, content.references)))
     sections += [
@@ -176,7 +179,7 @@ def _agreement(content: Content, comparison: Comparison | None) -> list[Block]:
             number(100 * r.mean_sphere),
             _signed(100 * r.mean_deviation),
             _signed(100 * r.mean_relative),
-            _signed(r.worst_e_n),
+            f"{r.worst_e_n:+.2f}".replace("-", "−"),
             _counted(r.within, r.count),
         )
         for r in comparison.ranges
@@ -209,21 +212,23 @@ def _counted(within: int, count: int) -> str | Markup:
 
 
 def _notes(fit: FitResult | None) -> list[Block]:
-    """Return the fit's notes, each once, with the wavelengths it concerns."""
+    """Return the fit's remarks, each kind once with an example and the wavelengths it concerns."""
     if fit is None:
         return []
-    where: dict[str, list[float]] = {}
-    for wavelength_nm, notes in zip(fit.wavelength_nm.tolist(), fit.notes, strict=False):
-        for note in (notes,) if isinstance(notes, str) else notes:
-            if note:
-                where.setdefault(note, []).append(wavelength_nm)
-    if not where:
-        return []
+    kinds: dict[str, tuple[str, list[float]]] = {}
+    for wavelength_nm, note in zip(fit.wavelength_nm.tolist(), fit.notes, strict=False):
+        for part in filter(None, note.split("; ")):
+            kind = re.sub(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?", "#", part)  # the same remark with other numbers
+            kinds.setdefault(kind, (part, []))[1].append(wavelength_nm)
+    if not kinds:
+        return [Text("The fit has nothing to remark: every parameter is determined at every wavelength.")]
     step = float(np.min(np.diff(fit.wavelength_nm))) if fit.wavelength_nm.size > 1 else 0.0
-    ordered = sorted(where.items(), key=lambda item: -len(item[1]))
-    items = [f"{note} ({_ranges(at, step)})" for note, at in ordered[:MOST_NOTES]]
-    if len(ordered) > MOST_NOTES:
-        items.append(f"… and {len(ordered) - MOST_NOTES} further notes, stored with the fit")
+    items = [
+        f"{_ranges(at, step)}: {part}" + (f" (at {at[0]:g} nm)" if len(at) > 1 and "#" in kind else "")
+        for kind, (part, at) in sorted(kinds.items(), key=lambda item: -len(item[1][1]))
+    ][:MOST_NOTES]
+    if len(kinds) > MOST_NOTES:
+        items.append(f"… and {len(kinds) - MOST_NOTES} further remarks, stored with the fit")
     return [List(items)]
 
 
@@ -243,7 +248,7 @@ def _ranges(wavelength_nm: Sequence[float], step_nm: float) -> str:
 
 def _events(content: Content) -> list[Block]:
     if not content.events:
-        return []
+        return [Text("No event was recorded: no retry, no fault, no pause.")]
     many = len(content.events) > MOST_EVENTS
     shown = [e for e in content.events if not many or e.level != "info"][:MOST_EVENTS]
     rows = [
@@ -286,5 +291,5 @@ def _detectors(content: Content) -> str:
         used_nm = scan.wavelength_nm[scan.detector_index == index]
         name = scan.detector_names[int(index)]
         parts.append(f"{name} {used_nm.min():g}–{used_nm.max():g} nm")
-    change = ", ".join(f"{w:g} nm" for w in scan.detector_change_nm)
-    return "; ".join(parts) + (f"; change at {change}" if change else "")
+    change = ", ".join(choose.change_texts(scan))
+    return "; ".join(parts) + (f"; change within {change}" if change else "")

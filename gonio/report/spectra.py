@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from gonio.report import style
+from gonio.report import choose, style
 from gonio.report.agreement import SPHERE_THETA_I_DEG, Comparison, compare, sphere_of
 from gonio.report.content import Content
 from gonio.report.curves import describe
@@ -44,9 +44,9 @@ def draw_coefficients(content: Content, fit: FitResult) -> style.Drawing:
         style.legend_above(axes)
     if comparison is not None:
         _draw_deviation(panels[2], comparison, changes)
-    style.mark_changes(panels[0], changes, text=True)
+    style.mark_changes(panels[0], changes, choose.change_texts(content.scan))
     style.wavelength_axis(panels[-1], fit.wavelength_nm)
-    figure.align_ylabels(panels)
+    style.place(figure, gap_y_in=0.34)
     return style.Drawing(
         name="coefficients",
         title=f"Hemispherical reflectance at 8°, {WHICH[fit.polarization]} (after the paper's Figure 11)",
@@ -68,7 +68,7 @@ def draw_coefficients_alone(content: Content, fits: Sequence[FitResult]) -> styl
         for row, pair in enumerate(_draw_reflectances(upper, lower, content, fit)):
             found[row].append(pair)
         upper.set_title(WHICH[fit.polarization])
-        style.mark_changes(upper, changes, text=column == 0)
+        style.mark_changes(upper, changes, choose.change_texts(content.scan) if column == 0 else ())
         style.wavelength_axis(lower, fit.wavelength_nm)
     for row, pairs in enumerate(found):
         known = [p for p in pairs if p is not None]
@@ -76,7 +76,8 @@ def draw_coefficients_alone(content: Content, fits: Sequence[FitResult]) -> styl
             panels[row, 0].set_ylim(min(p[0] for p in known), max(p[1] for p in known))
     panels[0, 0].set_ylabel("reflectance at 8° / %")
     panels[1, 0].set_ylabel(f"{K_S} at 8° / %")
-    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
+    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="lower center", ncols=5)
+    style.place(figure, bottom_in=0.78)
     sources = " and ".join(f"<code>/entry/fit_{f.aperture}_{f.polarization}</code>" for f in fits)
     return style.Drawing(
         name="coefficients_alone",
@@ -109,18 +110,20 @@ def draw_parameters(content: Content, fit: FitResult) -> style.Drawing:
         )  # fmt: skip
         shown = [value, *_draw_truth(axes, content, fit.wavelength_nm, name, 1.0)]
         axes.set_ylabel(label)
-        _finish(axes, shown, [lower, upper], changes, text=axes is panels[0])
+        _finish(axes, shown, [lower, upper], changes)
         style.legend_above(axes)
+    style.mark_changes(panels[0], changes, choose.change_texts(content.scan))
     style.wavelength_axis(panels[-1], fit.wavelength_nm)
-    figure.align_ylabels(panels)
+    style.place(figure, gap_y_in=0.34)
     return style.Drawing(
         name="parameters",
         title="Parameters of the reflection model",
         caption=(
-            "The diffuse albedo ρ_d, the specular factor ρ_s and the exponent α of the lobe "
-            f"cos<sup>α</sup>, fitted at each wavelength by itself ({describe(fit)}). Bands: 95 % "
-            "intervals. A band that leaves the axis has no useful bound: ρ_s and n₂ trade against each "
-            "other, and a lobe narrower than the aperture says little about α from above."
+            "The diffuse albedo ρ<sub>d</sub>, the specular factor ρ<sub>s</sub> and the exponent α of "
+            f"the lobe cos<sup>α</sup>, fitted at each wavelength by itself ({describe(fit)}). Bands: 95 "
+            "% intervals. A band that leaves the axis has no useful bound: ρ<sub>s</sub> and "
+            "n<sub>2</sub> trade against each other, and a lobe narrower than the aperture says little "
+            "about α from above."
         ),
         figure=figure,
     )
@@ -148,9 +151,11 @@ def draw_index(content: Content, fit: FitResult) -> style.Drawing:
         bands += [lower, upper]
     shown += _draw_truth(axes, content, fit.wavelength_nm, "n2", 1.0)
     axes.set_ylabel("refractive index n₂ / 1")
-    _finish(axes, shown, bands, changes, text=True)
+    _finish(axes, shown, bands, changes)
+    style.mark_changes(axes, changes, choose.change_texts(content.scan))
     style.legend_above(axes)
     style.wavelength_axis(axes, fit.wavelength_nm)
+    style.place(figure)
     absent = [p.upper() for p, f in zip("sp", alone, strict=True) if f is None and fit.polarization != p]
     hint = (
         f" Fits of {' and '.join(absent)} alone are not stored in this file; "
@@ -162,9 +167,10 @@ def draw_index(content: Content, fit: FitResult) -> style.Drawing:
         name="index",
         title="Refractive index of the surface (after the paper's Figure 12)",
         caption=(
-            "The index n₂ that the fit needs so that the Fresnel reflectance follows the lobe over the "
-            "incidences. One polarization alone hardly separates n₂ from ρ_s, which its wide band shows; "
-            f"the contrast between S and P does.{hint}"
+            "The index n<sub>2</sub> that the Fresnel reflectance needs to follow the lobe over the "
+            "incidences, with 95 % bands. One polarization alone separates n<sub>2</sub> from "
+            "ρ<sub>s</sub> by the angular trend only, both together by the contrast of S and P as well; "
+            f"curves that lie apart tell of the model.{hint}"
         ),
         figure=figure,
     )
@@ -174,7 +180,7 @@ def _caption(content: Content, fit: FitResult, comparison: Comparison | None) ->
     text = [
         "Directional-hemispherical reflectance at 8° incidence, mean of S and P, from the fit "
         f"({describe(fit)}); bands: 95 % intervals, propagated from the parameters with their full "
-        "covariance, k_s integrated above the horizon."
+        "covariance, k<sub>s</sub> integrated above the horizon."
     ]
     sphere = sphere_of(content)
     if sphere is not None:
@@ -187,14 +193,14 @@ def _caption(content: Content, fit: FitResult, comparison: Comparison | None) ->
     if content.truth is not None:
         text.append("Dashed: what is true on the simulated bench.")
     if content.scan.detector_change_nm:
-        where = ", ".join(f"{w:.0f} nm" for w in content.scan.detector_change_nm)
+        where = ", ".join(choose.change_texts(content.scan))
         text.append(
             f"No curve is joined across the detector change ({where}): a step there is a difference of gain."
         )
     if comparison is not None and comparison.ranges:
         worst = max(comparison.ranges, key=lambda r: abs(r.worst_e_n))
         text.append(
-            f"The largest disagreement is Eₙ = {worst.worst_e_n:.2g}, on detector "
+            f"The largest disagreement is E<sub>n</sub> = {worst.worst_e_n:.2g}, on detector "
             f"{html.escape(worst.detector)}."
         )
     return " ".join(text)
@@ -254,11 +260,14 @@ def _draw_truth(
 ) -> list[FloatArray]:
     if content.truth is None:
         return []
-    true = scale * content.truth.at(wavelength_nm, name)
+    own_nm = content.truth.wavelength_nm  # finer than a scan of few wavelengths
+    inside = (own_nm >= wavelength_nm.min()) & (own_nm <= wavelength_nm.max())
+    shown_nm = np.union1d(own_nm[inside], wavelength_nm)
+    true = scale * content.truth.at(shown_nm, name)
     if not np.any(np.isfinite(true)):
         return []
     style.draw_spectrum(
-        axes, wavelength_nm, true, colour=style.BLACK, dashes=(0, (4, 2)), width=0.9, label=label, zorder=3.0
+        axes, shown_nm, true, colour=style.BLACK, dashes=(0, (4, 2)), width=0.9, label=label, zorder=3.0
     )
     return [true]
 
@@ -304,7 +313,7 @@ def _draw_deviation(axes: Axes, comparison: Comparison, changes: Sequence[float]
         colour=style.BLUE,
         label=f"{K_G} of the fit − sphere",
     )
-    axes.set_ylabel("difference / % (absolute)")
+    axes.set_ylabel("difference / %")
     _finish(axes, [deviation], [-expanded, expanded], changes)
     style.legend_above(axes)
 
@@ -314,13 +323,11 @@ def _finish(
     shown: Sequence[FloatArray],
     bands: Sequence[FloatArray],
     changes: Sequence[float],
-    *,
-    text: bool = False,
 ) -> tuple[float, float] | None:
     """Set the limits so that the curves fill the panel, count what is outside, mark the detector changes."""
     found = style.limits(*shown, bands=bands)
     if found is not None:
         axes.set_ylim(*found)
         style.beyond(axes, *shown)
-    style.mark_changes(axes, changes, text=text)
+    style.mark_changes(axes, changes)
     return found

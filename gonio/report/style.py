@@ -38,6 +38,7 @@ PURPLE = "#cc79a7"
 CYCLE = (BLUE, ORANGE, GREEN, PURPLE, VERMILLION, SKY)
 MARKERS = ("o", "s", "^", "D", "v", "P")
 PNG_DPI = 160
+SPARSE = 40  # so few wavelengths are marked, since the line between them is no measurement
 
 _RC: dict[str, Any] = {
     "font.family": "sans-serif",
@@ -92,11 +93,41 @@ class Drawing:
     figure: Figure
 
 
-def new_figure(width_in: float, height_in: float) -> Figure:
-    """Return an empty figure on an Agg canvas with automatic, non-overlapping layout."""
-    figure = Figure(figsize=(width_in, height_in), dpi=PNG_DPI, layout="constrained")
+def new_figure(width_in: float, height_in: float, *, automatic: bool = False) -> Figure:
+    """Return an empty figure on an Agg canvas; lay it out with `place`, or let matplotlib do it.
+
+    Automatic layout finds room for anything, but takes as long as drawing; it is for colour bars and for
+    labels whose length comes from the file.
+    """
+    figure = Figure(figsize=(width_in, height_in), dpi=PNG_DPI, layout="constrained" if automatic else None)
     FigureCanvasAgg(figure)
     return figure
+
+
+def place(
+    figure: Figure,
+    *,
+    left_in: float = 0.72,
+    right_in: float = 0.12,
+    bottom_in: float = 0.48,
+    top_in: float = 0.30,
+    gap_x_in: float = 0.2,
+    gap_y_in: float = 0.15,
+) -> None:
+    """Put the grid of panels inside these margins, with these gaps between them, inches."""
+    width, height = figure.get_size_inches()
+    grid = figure.axes[0].get_gridspec()
+    rows, columns = (grid.nrows, grid.ncols) if grid is not None else (1, 1)
+    panel_x = (width - left_in - right_in - gap_x_in * (columns - 1)) / columns
+    panel_y = (height - bottom_in - top_in - gap_y_in * (rows - 1)) / rows
+    figure.subplots_adjust(
+        left=left_in / width,
+        right=1.0 - right_in / width,
+        bottom=bottom_in / height,
+        top=1.0 - top_in / height,
+        wspace=gap_x_in / panel_x,
+        hspace=gap_y_in / panel_y,
+    )
 
 
 def freeze(figure: Figure) -> Figure:
@@ -193,6 +224,8 @@ def draw_spectrum(
     Unbounded limits (``inf``) fill to far beyond the axes; a band exists only where both limits are known.
     """
     nothing = np.full(np.shape(value), np.nan)
+    if not marks and len(wavelength_nm) <= SPARSE:
+        marks = "." if dashes == "-" else ""
     lower = nothing if lower is None else np.clip(lower, -1e6, 1e6)
     upper = nothing if upper is None else np.clip(upper, -1e6, 1e6)
     x, (y, low, high) = broken(wavelength_nm, value, lower, upper, at=changes_nm)
@@ -228,22 +261,23 @@ def draw_spectrum(
         )
 
 
-def mark_changes(axes: Axes, changes_nm: Sequence[float], *, text: bool = False) -> None:
-    """Draw a dotted line at each detector change; with `text` name it at the upper end."""
+def mark_changes(axes: Axes, changes_nm: Sequence[float], texts: Sequence[str] = ()) -> None:
+    """Draw a dotted line at each detector change, and name it at the lower end where there is a text."""
     for change_nm in changes_nm:
         axes.axvline(change_nm, color=GREY, linestyle=(0, (1, 1.6)), linewidth=1.0, zorder=1.2)
-        if text:
-            axes.annotate(
-                f"detector change, {change_nm:.0f} nm",
-                (change_nm, 0.0),
-                xycoords=("data", "axes fraction"),
-                xytext=(4, 4),
-                textcoords="offset points",
-                va="bottom",
-                fontsize=7.5,
-                color="#555555",
-                bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 1.0},
-            )
+    for change_nm, text in zip(changes_nm, texts, strict=False):
+        axes.annotate(
+            f"detector change\n{text}",
+            (change_nm, 0.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(4, 4),
+            textcoords="offset points",
+            va="bottom",
+            fontsize=7.5,
+            linespacing=1.15,
+            color="#555555",
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 1.0},
+        )
 
 
 def wavelength_axis(axes: Axes, wavelength_nm: FloatArray) -> None:
@@ -257,7 +291,7 @@ def wavelength_axis(axes: Axes, wavelength_nm: FloatArray) -> None:
 def limits(*values: FloatArray, bands: Sequence[FloatArray] = ()) -> tuple[float, float] | None:
     """Return axis limits that show the curves, and their bands as far as these do not dwarf the curves.
 
-    Values and bands further out than 1.5 times the 5 % to 95 % range are left out, so that one failed
+    Values and bands further out than 3 times the 5 % to 95 % range are left out, so that one failed
     wavelength does not flatten all others; `beyond` counts what is left out.  ``None`` if nothing is
     finite.
     """
@@ -280,7 +314,7 @@ def limits(*values: FloatArray, bands: Sequence[FloatArray] = ()) -> tuple[float
 
 def _without_outliers(values: FloatArray) -> tuple[float, float]:
     low, high = np.percentile(values, [5.0, 95.0])
-    reach = 1.5 * (high - low)
+    reach = 3.0 * (high - low)
     return max(float(values.min()), float(low - reach)), min(float(values.max()), float(high + reach))
 
 

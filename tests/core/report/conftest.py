@@ -7,9 +7,11 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from gonio.aperture import Aperture
 from gonio.facade import EnergyBalance, Estimate, Irradiance, Receiver
-from gonio.report.content import Content, Spectrum
+from gonio.report import style
+from gonio.report.content import Content, References, Spectrum
 from gonio.store.scan import Scan
 
 OMEGA_SR = 0.0509
@@ -47,7 +49,9 @@ def model(value, theta_i_deg, theta_o_deg, polarization):
     return OMEGA_SR * (rho_d / np.pi * np.cos(np.radians(to)) + rho_s * reflectance * lobe)
 
 
-def make_scan(wavelength_nm=None, sweeps=SWEEPS, polarizations=("s", "p"), mismatch=-0.03, seed=1, **changed):
+def build_scan(
+    wavelength_nm=None, sweeps=SWEEPS, polarizations=("s", "p"), mismatch=-0.03, seed=1, **changed
+):
     wavelength_nm = (
         np.arange(300.0, 1501.0, 10.0) if wavelength_nm is None else np.asarray(wavelength_nm, float)
     )
@@ -64,34 +68,34 @@ def make_scan(wavelength_nm=None, sweeps=SWEEPS, polarizations=("s", "p"), misma
     r = model(np.array(truth(wavelength_nm)).T, ti, tm - ti, pol) * np.where(detector == 0, 1 + mismatch, 1.0)
     sd = np.hypot(2.5e-5, 0.004 * r)
     r = r + sd * rng.standard_normal(r.shape)
-    fields = dict(
-        path=Path("hpl.h5"),
-        title="White HPL cladding",
-        sample_name="HPL white",
-        wavelength_nm=wavelength_nm,
-        detector_index=detector,
-        detector_names=("pmt", "ingaas"),
-        theta_i_deg=ti,
-        theta_mes_deg=tm,
-        theta_o_deg=tm - ti,
-        polarization=pol,
-        r=r,
-        r_sd=sd,
-        raw_signal_v=0.9 * r,
-        dark_v=np.full(r.shape, 2e-4),
-        baseline_v=np.full(r.shape, 0.9),
-        gain_u=np.full(r.shape, 0.001),
-        offset_u=np.full(r.shape, 2e-6),
-        quality=np.zeros(r.shape, dtype=np.uint16),
-        time_s=np.arange(len(ti)) * 130.0,
-        aperture=Aperture(width_mm=26.0, height_mm=18.0, distance_mm=95.2353),
-        position=np.arange(len(ti)),
-        n_planned=len(ti),
-        finished=True,
-        plan_text='title = "White HPL cladding"\n',
-        rig_text=RIG,
-        start_time="2026-11-22T10:00:00+00:00",
-    )
+    fields = {
+        "path": Path("hpl.h5"),
+        "title": "White HPL cladding",
+        "sample_name": "HPL white",
+        "wavelength_nm": wavelength_nm,
+        "detector_index": detector,
+        "detector_names": ("pmt", "ingaas"),
+        "theta_i_deg": ti,
+        "theta_mes_deg": tm,
+        "theta_o_deg": tm - ti,
+        "polarization": pol,
+        "r": r,
+        "r_sd": sd,
+        "raw_signal_v": 0.9 * r,
+        "dark_v": np.full(r.shape, 2e-4),
+        "baseline_v": np.full(r.shape, 0.9),
+        "gain_u": np.full(r.shape, 0.001),
+        "offset_u": np.full(r.shape, 2e-6),
+        "quality": np.zeros(r.shape, dtype=np.uint16),
+        "time_s": np.arange(len(ti)) * 130.0,
+        "aperture": Aperture(width_mm=26.0, height_mm=18.0, distance_mm=95.2353),
+        "position": np.arange(len(ti)),
+        "n_planned": len(ti),
+        "finished": True,
+        "plan_text": 'title = "White HPL cladding"\n',
+        "rig_text": RIG,
+        "start_time": "2026-11-22T10:00:00+00:00",
+    }
     return Scan(**{**fields, **changed})
 
 
@@ -116,10 +120,26 @@ class FakeFit:
     wavelength_nm: np.ndarray
     value: np.ndarray
     se: np.ndarray
+    theta_i_deg: np.ndarray
+    theta_o_deg: np.ndarray
+    polarization_of: np.ndarray
+    sigma: np.ndarray
     aperture: str = "exact"
     polarization: str = "joint"
     parameters: tuple[str, ...] = ("rho_d", "rho_s", "alpha", "n2")
     notes: tuple[str, ...] = ()
+
+    @property
+    def quantile(self):
+        return np.full(len(self.wavelength_nm), 1.97)
+
+    @property
+    def dof(self):
+        return np.full(len(self.wavelength_nm), 288)
+
+    @property
+    def chi2(self):
+        return 4.0 * self.dof  # twice the noise that the weights stood for
 
     @property
     def lower(self):
@@ -143,41 +163,58 @@ class FakeFit:
         )
 
 
-def make_fit(scan, polarization="joint", seed=2, mismatch=-0.03):
+def build_fit(scan, polarization="joint", seed=2, mismatch=-0.03):
     rng = np.random.default_rng(seed)
     value = np.array(truth(scan.wavelength_nm)).T
     value[:, :2] *= np.where(scan.detector_index == 0, 1 + mismatch, 1.0)[:, None]
     wide = {"joint": 1.0, "s": 6.0, "p": 3.0}[polarization]
     se = np.array([0.002, 0.02 * wide, 1.5, 0.008 * wide]) * np.ones_like(value)
+    kept = np.isin(scan.polarization, ("s", "p") if polarization == "joint" else (polarization,))
     return FakeFit(
-        scan.wavelength_nm, value + se * rng.standard_normal(value.shape), se, polarization=polarization
+        wavelength_nm=scan.wavelength_nm,
+        value=value + se * rng.standard_normal(value.shape),
+        se=se,
+        theta_i_deg=scan.theta_i_deg[kept],
+        theta_o_deg=scan.theta_o_deg[kept],
+        polarization_of=scan.polarization[kept],
+        sigma=np.full((int(kept.sum()), len(value)), 1e-4),
+        polarization=polarization,
     )
 
 
-def make_spectra(wavelength_nm):
+def build_spectra(wavelength_nm):
     rho_d, rho_s, alpha, n2 = truth(wavelength_nm)
     k_s = rho_s * 0.5 * (fresnel(n2, 8.0, "s") + fresnel(n2, 8.0, "p"))
     true = Spectrum(
-        wavelength_nm, dict(rho_d=rho_d, rho_s=rho_s, alpha=alpha, n2=n2, k_d=rho_d, k_s=k_s, k_g=rho_d + k_s)
+        wavelength_nm,
+        {
+            "rho_d": rho_d,
+            "rho_s": rho_s,
+            "alpha": alpha,
+            "n2": n2,
+            "k_d": rho_d,
+            "k_s": k_s,
+            "k_g": rho_d + k_s,
+        },
     )
     rng = np.random.default_rng(3)
     k = (rho_d + k_s) * (1.002 + 0.002 * rng.standard_normal(len(k_s)))
     return true, Spectrum(wavelength_nm, {"k_g": k, "k_g_u": 0.005 * k})
 
 
-def make_content(scan=None, fits=("joint", "s", "p"), **changed):
-    scan = make_scan() if scan is None else scan
-    true, sphere = make_spectra(scan.wavelength_nm)
-    fields = dict(
-        scan=scan,
-        fits={f"exact_{p}": make_fit(scan, p) for p in fits},
-        truth=true,
-        sphere=sphere,
-    )
+def build_content(scan=None, fits=("joint", "s", "p"), **changed):
+    scan = build_scan() if scan is None else scan
+    true, sphere = build_spectra(scan.wavelength_nm)
+    fields = {
+        "scan": scan,
+        "fits": {f"exact_{p}": build_fit(scan, p) for p in fits},
+        "truth": true,
+        "sphere": sphere,
+    }
     return Content(**{**fields, **changed})
 
 
-def make_receiver(name, width_m, height_m, rows, columns, direct, v_m=None, seed=5):
+def build_receiver(name, width_m, height_m, rows, columns, direct, v_m=None, seed=5):
     rng = np.random.default_rng(seed)
     up = (np.arange(rows)[:, None] + 0.5) / rows * np.ones((rows, columns))
     parts = {
@@ -200,11 +237,11 @@ def make_receiver(name, width_m, height_m, rows, columns, direct, v_m=None, seed
     )
 
 
-def make_irradiance(count=3):
+def build_irradiance(count=3):
     every = (
-        make_receiver("left", 60.0, 18.0, 12, 40, 500.0),
-        make_receiver("right", 60.0, 18.0, 12, 40, 0.0),
-        make_receiver("ground", 60.0, 12.0, 8, 40, 300.0, v_m=(0.0, 12.0, 0.0)),
+        build_receiver("left", 60.0, 18.0, 12, 40, 500.0),
+        build_receiver("right", 60.0, 18.0, 12, 40, 0.0),
+        build_receiver("ground", 60.0, 12.0, 8, 40, 300.0, v_m=(0.0, 12.0, 0.0)),
     )
     receivers = tuple(every[i % 3] for i in range(count))
     return Irradiance(
@@ -220,3 +257,51 @@ def make_irradiance(count=3):
         duration_s=3.4,
         notes=("sun: azimuth 120 deg, elevation 38 deg",),
     )
+
+
+def build_references(scan, drift=0.004):
+    base = 0.9 * np.exp(-(((scan.wavelength_nm - 900.0) / 600.0) ** 2))
+    dark = np.full_like(base, 2e-4)
+    return References(
+        kind=("dark", "baseline", "baseline", "dark", "baseline", "baseline"),
+        polarization=("any", "s", "p") * 2,
+        time_s=np.array([0.0, 60.0, 200.0, 36000.0, 36100.0, 37000.0]),
+        signal_v=np.array([dark, base, base, 1.05 * dark, (1 + drift) * base, (1 + drift) * base]),
+    )
+
+
+@pytest.fixture(scope="session")
+def make_scan():
+    return build_scan
+
+
+@pytest.fixture(scope="session")
+def make_fit():
+    return build_fit
+
+
+@pytest.fixture(scope="session")
+def make_content():
+    return build_content
+
+
+@pytest.fixture(scope="session")
+def make_irradiance():
+    return build_irradiance
+
+
+@pytest.fixture(scope="session")
+def make_references():
+    return build_references
+
+
+@pytest.fixture(scope="session")
+def content():
+    """A whole scan, all three fits, sphere and truth."""
+    return build_content()
+
+
+@pytest.fixture(autouse=True)
+def _house_style():
+    with style.styled():
+        yield
