@@ -11,6 +11,7 @@ Reference: Stanford Research Systems, SR830 manual, chapter 5.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal, Self
 
@@ -73,7 +74,22 @@ class SR830Config(Strict):
             raise ValueError(
                 f"lockin.smallest_range_v = {self.smallest_range_v:g} V is above the largest range, 1 V"
             )
+        left = self.left_of_a_step()
+        if left > 0.05:
+            raise ValueError(
+                f"lockin.settle_time_constants = {self.settle_time_constants:g} leaves {left:.0%} of a change "
+                f"behind a filter of {self.slope_db_oct} dB/octave; wait longer, so that 5 % or less is left"
+            )
         return self
+
+    def left_of_a_step(self) -> float:
+        """Return what is left of a change of the signal after `settle_time_constants`, relative.
+
+        The step response of n equal low-passes leaves exp(-x) sum_{k<n} x^k / k! after x time constants.
+        """
+        x = self.settle_time_constants
+        n = 1 + SLOPES_DB_OCT.index(self.slope_db_oct)
+        return math.exp(-x) * sum(x**k / math.factorial(k) for k in range(n))
 
     def settle_s(self) -> float:
         """Return the time waited before a reading that differs little from the one before, seconds."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gonio.errors import DeviceError, ReplyError
 from pydantic import ValidationError
-from scipy.integrate import quad
+from scipy.integrate import quad, solve_ivp
 
 from gonio_drivers.sr830 import FULL_SCALE_V, SPACING_TIME_CONSTANTS, SR830, TIME_CONSTANT_S, SR830Config
 
@@ -121,10 +121,21 @@ def test_averaged_readings_are_nearly_independent(slope, spacing):
     assert 0.04 < autocorrelation(slope // 6, spacing) <= 0.05
 
 
-@pytest.mark.parametrize("slope", [6, 12, 18, 24])
-def test_what_a_jump_leaves(slope):
-    """The step response of n low-passes leaves exp(-x) sum_{k<n} x^k/k! of the old signal."""
-    config = SR830Config(driver="sr830", slope_db_oct=slope)
-    x = config.jump_settle_s() / config.time_constant_s
-    left = math.exp(-x) * sum(x**k / math.factorial(k) for k in range(slope // 6))
-    assert left < 1e-4
+def step_left(poles: int, x: float) -> float:
+    """What is left of a unit step after x time constants: the poles integrated one after the other."""
+    solution = solve_ivp(
+        lambda t, y: np.append(1.0, y[:-1]) - y, (0, x), np.zeros(poles), rtol=1e-10, atol=1e-12
+    )
+    return 1.0 - solution.y[-1, -1]
+
+
+@pytest.mark.parametrize(("slope", "settle"), [(6, 5.0), (12, 7.0), (18, 9.0), (24, 10.0)])
+def test_what_settling_leaves(slope, settle):
+    config = SR830Config(driver="sr830", slope_db_oct=slope, settle_time_constants=settle)
+    assert config.left_of_a_step() == pytest.approx(step_left(slope // 6, settle), rel=1e-5)
+    assert step_left(slope // 6, config.jump_settle_s() / config.time_constant_s) < 1e-4
+
+
+def test_too_short_a_settling_for_the_slope_is_refused():
+    with pytest.raises(ValidationError, match=r"= 5 leaves 27% of a change .* 24 dB/octave; wait longer"):
+        SR830Config(driver="sr830", slope_db_oct=24)
