@@ -17,11 +17,13 @@ Everything is measured in the plane of incidence, from the sample's normal, in d
 
 * `theta_i` 0...90, incidence; it is never negative.
 * `theta_o` -90...90, observation, positive on the specular side.
-* `theta_mes` the detector arm's own angle.  With ``|theta_mes| < 15`` the arm would shadow the beam (blind zone).
+* `theta_mes` the detector arm's own angle.  With ``|theta_mes| < 15`` the arm would shadow the beam (blind
+zone).
 * `delta = theta_i - theta_o` leads from the detector's axis to the mirror direction.
 * `azimuth` leaves the plane of incidence: 0 on the specular side, 180 on the side of the incident beam.
 
-Sines and cosines here are exact at multiples of 90 degrees: a beam at 90 degrees grazes, it is not 6e-17 above.
+Sines and cosines here are exact at multiples of 90 degrees: a beam at 90 degrees grazes, it is not 6e-17
+above.
 """
 
 from __future__ import annotations
@@ -33,7 +35,7 @@ FloatArray = NDArray[np.float64]
 
 
 def theta_o_from_theta_mes(*, theta_mes_deg: ArrayLike, theta_i_deg: ArrayLike) -> FloatArray:
-    """Return the observation angle from the normal, degrees, of a detector at `theta_mes_deg` from the beam."""
+    """Return the observation angle, degrees from the normal, of a detector at `theta_mes_deg`."""
     return np.asarray(np.asarray(theta_mes_deg, np.float64) - np.asarray(theta_i_deg, np.float64))
 
 
@@ -63,8 +65,8 @@ def one_minus_cos_to_mirror(
 ) -> FloatArray:
     """Return ``1 - cos(theta_s)``, theta_s the angle between an observation and the mirror direction.
 
-    In plane ``theta_s = theta_o - theta_i``; a negative `theta_o_deg` with azimuth 0 is the same direction as a
-    positive one with azimuth 180.  Haversines keep the digits that ``1 - cos`` loses for narrow lobes.
+    In plane ``theta_s = theta_o - theta_i``; a negative `theta_o_deg` with azimuth 0 is the same direction as
+    a positive one with azimuth 180.  Haversines keep the digits that ``1 - cos`` loses for narrow lobes.
     """
     theta_i, theta_o = np.asarray(theta_i_deg, np.float64), np.asarray(theta_o_deg, np.float64)
     in_plane = 2.0 * sin_deg((theta_o - theta_i) / 2.0) ** 2

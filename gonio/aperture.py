@@ -1,14 +1,14 @@
 """How much of a lobe, and of diffuse light, does the detector's rectangular aperture catch?
 
-The aperture is a plane rectangle `width_mm` (in the plane of incidence) x `height_mm` at `distance_mm` from the spot,
-perpendicular to the arm.  A direction is described by t in plane and psi out of plane, both from the arm's axis; then
-``dOmega = cos(psi) dpsi dt``, the angle to the mirror direction has ``cos(theta_s) = cos(t - delta) cos(psi)``, the
-angle to the normal ``cos(theta) = cos(theta_o + t) cos(psi)``, and the aperture is ``|t| <= atan(w / 2R)``,
-``|psi| <= psi_max(t) = atan(h cos(t) / 2R)``.  The sample plane, like the edge of cos_+, is a line of constant t: both
-cut the range of t and nothing else.
+The aperture is a plane rectangle `width_mm` (in the plane of incidence) x `height_mm` at `distance_mm` from
+the spot, perpendicular to the arm.  A direction is described by t in plane and psi out of plane, both from
+the arm's axis; then ``dOmega = cos(psi) dpsi dt``, the angle to the mirror direction has ``cos(theta_s) =
+cos(t - delta) cos(psi)``, the angle to the normal ``cos(theta) = cos(theta_o + t) cos(psi)``, and the
+aperture is ``|t| <= atan(w / 2R)``, ``|psi| <= psi_max(t) = atan(h cos(t) / 2R)``.  The sample plane, like
+the edge of cos_+, is a line of constant t: both cut the range of t and nothing else.
 
-`Aperture` integrates exactly.  `InPlaneAverage` (Eq 22 of Raybaud et al. 2022) and `PointReceiver` (Eq 18) are the
-approximations of that paper behind the same three methods, kept so that their bias can be shown.
+`Aperture` integrates exactly.  `InPlaneAverage` (Eq 22 of Raybaud et al. 2022) and `PointReceiver` (Eq 18)
+are the approximations of that paper behind the same three methods, kept so that their bias can be shown.
 """
 
 from __future__ import annotations
@@ -85,7 +85,8 @@ class Aperture:
         widest = max(self.half_angles_deg)
         if widest > WIDEST_HALF_ANGLE_DEG:
             raise ConfigError(
-                f"aperture: {self.width_mm} x {self.height_mm} mm at {self.distance_mm} mm spans ±{widest:.1f} deg, "
+                f"aperture: {self.width_mm} x {self.height_mm} mm at {self.distance_mm} mm spans "
+                f"±{widest:.1f} deg, "
                 f"more than the ±{WIDEST_HALF_ANGLE_DEG:.0f} deg this program integrates; check the distance"
             )
 
@@ -118,25 +119,25 @@ class Aperture:
         delta_deg
             Mirror direction minus detector direction in plane, degrees, broadcast against `alpha`.
         theta_o_deg
-            Detector direction from the normal, degrees.  When given, the part of the aperture below the sample plane
-            receives nothing; without it the sample plane is ignored.
+            Detector direction from the normal, degrees.  When given, the part of the aperture below the
+            sample plane receives nothing; without it the sample plane is ignored.
 
         Returns
         -------
         ndarray
-            Fraction of the lobe's energy, in the broadcast shape; NaN where an argument is NaN.  Relative error
-            below 1e-12, but for values under about 1e-250 times the peak, which may underflow.
+            Fraction of the lobe's energy, in the broadcast shape; NaN where an argument is NaN.  Relative
+            error below 1e-12, but for values under about 1e-250 times the peak, which may underflow.
 
         Notes
         -----
-        ``∫ cos(psi)^(alpha + 1) dpsi`` over ``±psi_max`` is an incomplete beta function; what remains in t is one
-        smooth integral, done by 64 Gauss-Legendre nodes placed over the part that carries the value.
+        ``∫ cos(psi)^(alpha + 1) dpsi`` over ``±psi_max`` is an incomplete beta function; what remains in t is
+        one smooth integral, done by 64 Gauss-Legendre nodes placed over the part that carries the value.
         """
         half_t = np.deg2rad(self.half_angles_deg[0])
         return band_integral(alpha, delta_deg, half_t, theta_o_deg, self._across)
 
     def lobe_table(self, alpha: FloatArray, delta_deg: FloatArray, theta_o_deg: FloatArray) -> FloatArray:
-        """Return `lobe_integral` of every alpha (n_alpha,) at every position (n,), as (n_alpha, n), to 1e-13."""
+        """Return `lobe_integral` of alpha (n_alpha,) at positions (n,), as (n_alpha, n), to 1e-13."""
         half_t = np.deg2rad(self.half_angles_deg[0])
         return band_integral_table(alpha, delta_deg, half_t, theta_o_deg, self._across)
 
@@ -164,8 +165,9 @@ class Aperture:
     def variant(self, name: ApertureName) -> Receiver:
         """Return this aperture as one of the fit's four receivers.
 
-        ``"exact"``; ``"eq22"`` (in-plane average with this aperture's true half-width and solid angle); ``"point"``
-        (Eq 18); ``"published"`` (in-plane average with the paper's pair, whatever this aperture is).
+        ``"exact"``; ``"eq22"`` (in-plane average with this aperture's true half-width and solid angle);
+        ``"point"`` (Eq 18); ``"published"`` (in-plane average with the paper's pair, whatever this aperture
+        is).
         """
         if name == "exact":
             return self
@@ -181,7 +183,8 @@ class Aperture:
     def published() -> InPlaneAverage:
         """Return Eq 22 with the paper's own pair, ±13 degrees and 0.0516 sr.
 
-        No 26 x 18 mm rectangle has both: 0.0516 sr needs a distance of 94.6 mm, where the half-width is 7.8 degrees.
+        No 26 x 18 mm rectangle has both: 0.0516 sr needs a distance of 94.6 mm, where the half-width is 7.8
+        degrees.
         """
         return InPlaneAverage(13.0, 0.0516)
 
@@ -212,7 +215,9 @@ class InPlaneAverage:
 
     def _per_angle(self, alpha: FloatArray, t: FloatArray) -> FloatArray:
         per_radian = self.solid_angle_sr / (2.0 * np.deg2rad(self.half_width_deg))
-        return np.broadcast_to(per_radian * (alpha + 1.0) / (2.0 * np.pi), np.broadcast_shapes(alpha.shape, t.shape))
+        return np.broadcast_to(
+            per_radian * (alpha + 1.0) / (2.0 * np.pi), np.broadcast_shapes(alpha.shape, t.shape)
+        )
 
     def diffuse_integral(self, theta_o_deg: ArrayLike) -> FloatArray:
         """Return Eq 22's diffuse term, the in-plane mean of ``cos(theta)/pi`` above the sample plane."""

@@ -1,7 +1,7 @@
 """Fresnel power reflectances of a smooth interface from air into a denser transparent medium.
 
-Equations 11 and 12 of Raybaud et al. (Energy and Buildings 263, 2022, 112034), rewritten without cancellation:
-with ``c = cos(theta_i)`` and ``q = sqrt(n2^2 - sin(theta_i)^2)``
+Equations 11 and 12 of Raybaud et al. (Energy and Buildings 263, 2022, 112034), rewritten without
+cancellation: with ``c = cos(theta_i)`` and ``q = sqrt(n2^2 - sin(theta_i)^2)``
 
     r_s = (c - q) / (c + q)           = -(n2^2 - 1) / (c + q)^2
     r_p = (n2^2 c - q) / (n2^2 c + q) = (n2^2 - 1) ((n2^2 + 1) c^2 - 1) / (n2^2 c + q)^2
@@ -97,13 +97,14 @@ def _checked(n2: ArrayLike, theta_i_deg: ArrayLike) -> tuple[FloatArray, FloatAr
     theta = np.abs(np.asarray(theta_i_deg, np.float64))
     if np.any(theta > 90.0):
         raise GonioError(
-            f"theta_i = {float(np.nanmax(theta)):.6g} deg is behind the sample; incidence runs from 0 to 90 deg"
+            f"theta_i = {float(np.nanmax(theta)):.6g} deg is behind the sample; "
+            "incidence runs from 0 to 90 deg"
         )
     return n, cos_deg(theta)
 
 
 def _s_amplitude(n: FloatArray, c: FloatArray, factor: FloatArray) -> FloatArray:
-    """Return ``factor / (c + q)^2``, that is ``-factor r_s / (n^2 - 1)``; finite also where n = 1 at 90 degrees."""
+    """Return ``factor / (c + q)^2``, that is ``-factor r_s / (n^2 - 1)``; finite also for n = 1 at 90 deg."""
     q2 = (n - 1.0) * (n + 1.0) + c**2  # n^2 - sin^2, equal to c^2 exactly at n = 1
     # the square is expanded so that c = 0 leaves exactly n^2 - 1, and R is exactly 1
     below = c**2 + 2.0 * c * np.sqrt(q2) + q2

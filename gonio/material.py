@@ -1,7 +1,8 @@
 """What the rest of the program needs to know of a surface: the four parameters over wavelength.
 
-A `Material` comes from a fit (`Material.from_file`, `Material.from_fit`), from an albedo (`Material.lambert`), or from
-numbers.  `Material.band` makes one entry of a band, for simulations that carry one spectral band at a time.
+A `Material` comes from a fit (`Material.from_file`, `Material.from_fit`), from an albedo
+(`Material.lambert`), or from numbers.  `Material.band` makes one entry of a band, for simulations that carry
+one spectral band at a time.
 """
 
 from __future__ import annotations
@@ -67,8 +68,8 @@ class Material:
             if bad.size:
                 at = f" at {wavelength[bad[0]]:g} nm" if np.isfinite(wavelength[bad[0]]) else ""
                 raise GonioError(
-                    f"material '{self.name}': {key} = {value[bad[0]]:g}{at} must be a number of at least {least:g}; "
-                    "leave that wavelength out or correct it"
+                    f"material '{self.name}': {key} = {value[bad[0]]:g}{at} must be a number "
+                    f"of at least {least:g}; leave that wavelength out or correct it"
                 )
             object.__setattr__(self, key, value)
 
@@ -78,20 +79,28 @@ class Material:
         if not 0.0 <= albedo <= 1.0:
             raise GonioError(f"material '{name}': albedo = {albedo:g} must lie between 0 and 1; correct it")
         at = np.full(1, np.nan)
-        return cls(name, at, *(np.full(1, x) for x in (albedo, 0.0, _ANY_ALPHA, _ANY_N2)))
+        rho_d, rho_s, alpha, n2 = (np.full(1, x) for x in (albedo, 0.0, _ANY_ALPHA, _ANY_N2))
+        return cls(name, at, rho_d, rho_s, alpha, n2)
 
     @classmethod
     def from_fit(cls, fit: FitResult, name: str | None = None) -> Self:
         """Return the material of a fit; wavelengths that could not be fitted are left out.
 
-        Where the fit found no lobe, rho_s is 0 and alpha and n2 are placeholders.  A negative rho_d or rho_s, as noise
-        may give, is set to 0: a surface cannot reflect less than nothing.
+        Where the fit found no lobe, rho_s is 0 and alpha and n2 are placeholders.  A negative rho_d or rho_s,
+        as noise may give, is set to 0: a surface cannot reflect less than nothing.
         """
         rho_d, rho_s, alpha, n2 = fit.value.T
-        lobe = np.isfinite(rho_s) & np.isfinite(alpha) & np.isfinite(n2)
+        # a lobe whose rho_s and n2 cannot be told apart has no reflection at other incidences
+        undetermined = np.isfinite(rho_d) & ~np.isfinite(rho_s)
+        if np.any(undetermined):
+            k = int(np.argmax(undetermined))
+            raise GonioError(f"no material at {fit.wavelength_nm[k]:g} nm, whose fit says: {fit.notes[k]}")
+        lobe = np.isfinite(alpha) & np.isfinite(n2)
         use = np.isfinite(rho_d)
         if not np.any(use):
-            raise GonioError("the fit has no wavelength with a result; look at its notes, and fit another scan")
+            raise GonioError(
+                "the fit has no wavelength with a result; look at its notes, and fit another scan"
+            )
         return cls(
             fit.sample_name if name is None else name,
             fit.wavelength_nm[use],
@@ -153,14 +162,16 @@ class Material:
         low_nm, high_nm
             Both included.
         weight
-            Relative spectral weight as a function of wavelength in nm (solar, photopic); None weighs all alike.
+            Relative spectral weight as a function of wavelength in nm (solar, photopic); None weighs all
+            alike.
 
         Notes
         -----
-        Averages are by the trapezoidal rule.  Four numbers cannot conserve everything; these do, in this order:
-        `rho_d` is the mean, so k_d is conserved; `n2` gives the best least-squares match of the mean ``rho_s R_x`` at
-        the measured incidences for S and P, relative to their size; `rho_s` makes the sum over those incidences and
-        polarizations exact; ``1/(alpha + 2)``, the lobe's mean ``1 - cos(theta_s)``, is the energy-weighted mean.
+        Averages are by the trapezoidal rule.  Four numbers cannot conserve everything; these do, in this
+        order: `rho_d` is the mean, so k_d is conserved; `n2` gives the best least-squares match of the mean
+        ``rho_s R_x`` at the measured incidences for S and P, relative to their size; `rho_s` makes the sum
+        over those incidences and polarizations exact; ``1/(alpha + 2)``, the lobe's mean ``1 -
+        cos(theta_s)``, is the energy-weighted mean.
 
         Raises
         ------
@@ -168,14 +179,17 @@ class Material:
             No wavelength of the material lies in the band, or the weight is nowhere positive.
         """
         if not low_nm < high_nm:
-            raise GonioError(f"band {low_nm:g}...{high_nm:g} nm: the first limit must be below the second; swap them")
+            raise GonioError(
+                f"band {low_nm:g}...{high_nm:g} nm: the first limit must be below the second; swap them"
+            )
         if self.wavelength_nm.size == 1 and np.isnan(self.wavelength_nm[0]):
             return self
         use = (self.wavelength_nm >= low_nm) & (self.wavelength_nm <= high_nm)
         if not np.any(use):
             raise GonioError(
-                f"material '{self.name}' has no wavelength from {low_nm:g} to {high_nm:g} nm; it was measured from "
-                f"{self.wavelength_nm.min():g} to {self.wavelength_nm.max():g} nm: choose a band inside"
+                f"material '{self.name}' has no wavelength from {low_nm:g} to {high_nm:g} nm; it was "
+                f"measured from {self.wavelength_nm.min():g} to {self.wavelength_nm.max():g} nm: "
+                "choose a band inside"
             )
         at = self.wavelength_nm[use]
         step = np.gradient(at) if at.size > 1 else np.ones(1)
@@ -184,8 +198,8 @@ class Material:
         share = step if weight is None else step * np.asarray(weight(at), np.float64)
         if not (np.all(np.isfinite(share)) and np.all(share >= 0.0) and np.sum(share) > 0.0):
             raise GonioError(
-                f"band {low_nm:g}...{high_nm:g} nm: the weight must be a number of at least 0 at every wavelength of "
-                f"material '{self.name}' and positive somewhere; give a weight that covers the band"
+                f"band {low_nm:g}...{high_nm:g} nm: the weight must be a number of at least 0 at every "
+                f"wavelength of material '{self.name}' and positive somewhere; give one that covers the band"
             )
         share = share / np.sum(share)
         rho_s, n2, alpha = self._band_lobe(use, share)

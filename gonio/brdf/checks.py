@@ -1,7 +1,8 @@
 """Does a model keep reciprocity and energy, and where does it fail worst?
 
-Reciprocity (Helmholtz, Eq 7) is asked of the true BRDF: ``f(i -> o) = f(o -> i)``.  Energy (Eq 8) is asked of the true
-directional albedo.  The published lobe breaks both; `check_model` says by how much and at which angles.
+Reciprocity (Helmholtz, Eq 7) is asked of the true BRDF: ``f(i -> o) = f(o -> i)``.  Energy (Eq 8) is asked of
+the true directional albedo.  The published lobe breaks both; `check_model` says by how much and at which
+angles.
 """
 
 from __future__ import annotations
@@ -52,8 +53,8 @@ def check_model(
 ) -> ModelCheck:
     """Return the worst reciprocity violation and albedo of a model with scalar parameters.
 
-    Directions every `step_deg` from 0 to below 90 degrees and every 15 degrees of azimuth; incidences for the albedo
-    every 0.1 degree up to 90.
+    Directions every `step_deg` from 0 to below 90 degrees and every 15 degrees of azimuth; incidences for the
+    albedo every 0.1 degree up to 90.
     """
     theta = np.arange(0.0, 90.0, step_deg)
     i, o, azimuth = np.meshgrid(theta, theta, np.arange(0.0, 181.0, 15.0), indexing="ij")
@@ -82,8 +83,8 @@ def integrated_albedo(
 ) -> float:
     """Return the hemispherical integral of the dsf by brute force: the check of every closed-form albedo.
 
-    A product of Gauss-Legendre rules over theta_o and azimuth; lobes narrower than about ``alpha = 3000`` need more
-    `nodes`.
+    A product of Gauss-Legendre rules over theta_o and azimuth; lobes narrower than about ``alpha = 3000``
+    need more `nodes`.
     """
     x, w = gauss_legendre(nodes)
     theta = 45.0 * (x + 1.0)

@@ -1,7 +1,7 @@
 """What is the scattering of a surface: the published four-parameter lobe, and Lambert.
 
-A model gives its **dsf** [1/sr], the differential scattering function of ASTM E2387: reflected intensity per incident
-power.  The true BRDF is ``dsf / cos(theta_o)``; conversions have names (`brdf_from_dsf`,
+A model gives its **dsf** [1/sr], the differential scattering function of ASTM E2387: reflected intensity per
+incident power.  The true BRDF is ``dsf / cos(theta_o)``; conversions have names (`brdf_from_dsf`,
 `reflectance_factor_from_brdf`) and nothing here calls a dsf a BRDF.
 """
 
@@ -23,13 +23,17 @@ FloatArray = NDArray[np.float64]
 
 @runtime_checkable
 class ScatteringModel(Protocol):
-    """What the checks, the exporters and the figures ask of a model; every method broadcasts over its parameters."""
+    """What checks, exporters and figures ask of a model; every method broadcasts over its parameters."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Name in files and tables."""
+        ...
 
     @property
-    def parameter_names(self) -> tuple[str, ...]: ...
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the parameters, in the order of the constructor."""
+        ...
 
     def dsf(
         self,
@@ -51,7 +55,7 @@ class ScatteringModel(Protocol):
 
 
 def brdf_from_dsf(dsf: ArrayLike, theta_o_deg: ArrayLike) -> FloatArray:
-    """Return the BRDF, 1/sr: ``dsf / cos(theta_o)``; NaN at and below grazing observation, where it is not defined."""
+    """Return the BRDF, 1/sr: ``dsf / cos(theta_o)``; NaN where it is undefined, at grazing observation."""
     c = cos_deg(theta_o_deg)
     return np.asarray(np.asarray(dsf, np.float64) / np.where(c > 0.0, c, np.nan))
 
@@ -77,8 +81,8 @@ def lobe_dsf(alpha: ArrayLike, one_minus_cos: ArrayLike) -> FloatArray:
 def lobe_above_horizon(alpha: ArrayLike, theta_i_deg: ArrayLike) -> FloatArray:
     """Return the fraction of the lobe's energy above the sample plane.
 
-    With the in-plane angle t from the mirror direction the horizon is ``t = 90 deg - theta_i`` for every psi, so the
-    psi integral factors out and ``∫ cos(t)^alpha dt`` leaves ``(1 + I_x(1/2, (alpha + 1)/2)) / 2``,
+    With the in-plane angle t from the mirror direction the horizon is ``t = 90 deg - theta_i`` for every psi,
+    so the psi integral factors out and ``∫ cos(t)^alpha dt`` leaves ``(1 + I_x(1/2, (alpha + 1)/2)) / 2``,
     ``x = cos(theta_i)^2``.  It is 1 at normal incidence and 1/2 at grazing.
     """
     x = cos_deg(theta_i_deg) ** 2
@@ -86,7 +90,7 @@ def lobe_above_horizon(alpha: ArrayLike, theta_i_deg: ArrayLike) -> FloatArray:
 
 
 def lobe_above_horizon_dlog_alpha(alpha: ArrayLike, theta_i_deg: ArrayLike) -> FloatArray:
-    """Return the derivative of `lobe_above_horizon` with respect to log(alpha), by central differences (1e-9)."""
+    """Return the derivative of `lobe_above_horizon` by log(alpha), from central differences (1e-9)."""
     a, step = np.asarray(alpha, np.float64), 1e-4
     up, down = (
         lobe_above_horizon(a * np.exp(step), theta_i_deg),

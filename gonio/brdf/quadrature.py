@@ -1,7 +1,8 @@
 """The numerical pieces shared by every integral of a cosine lobe.
 
-A lobe ``cos_+(theta_s)^alpha`` factors in detector-centred angles, ``cos(t - delta)^alpha cos(psi)^alpha``.  The
-integral across the plane of incidence is closed (`across_integral`); the one in plane is `band_integral`.
+A lobe ``cos_+(theta_s)^alpha`` factors in detector-centred angles, ``cos(t - delta)^alpha
+cos(psi)^alpha``.  The integral across the plane of incidence is closed (`across_integral`); the one in plane
+is `band_integral`.
 """
 
 from __future__ import annotations
@@ -31,8 +32,9 @@ def gauss_legendre(count: int) -> tuple[FloatArray, FloatArray]:
 def gamma_ratio(b: ArrayLike) -> FloatArray:
     """Return ``Gamma(b) / Gamma(b + 1/2)`` for b >= 1/2 to rounding error.
 
-    Differences of log-gamma lose digits as b grows (5e-10 at 1e6).  Above 20 the Stirling series of the ratio is used:
-    ``ln Gamma(b + 1/2) - ln Gamma(b) = ln(b)/2 - 1/(8b) + 1/(192 b^3) - 1/(640 b^5) + 17/(14336 b^7) - ...``
+    Differences of log-gamma lose digits as b grows (5e-10 at 1e6).  Above 20 the Stirling series of the ratio
+    is used: ``ln Gamma(b + 1/2) - ln Gamma(b) = ln(b)/2 - 1/(8b) + 1/(192 b^3) - 1/(640 b^5) + 17/(14336 b^7)
+    - ...``
     """
     b = np.asarray(b, np.float64)
     small = np.where(b < 20.0, b, 1.0)
@@ -44,7 +46,7 @@ def gamma_ratio(b: ArrayLike) -> FloatArray:
 
 
 def lobe_norm(alpha: ArrayLike) -> FloatArray:
-    """Return ``(alpha + 1)/(2 pi) * ∫ cos(psi)^(alpha + 1) dpsi`` over all psi: the lobe per in-plane angle."""
+    """Return ``(alpha + 1)/(2 pi) * ∫ cos(psi)^(alpha + 1) dpsi`` over all psi."""
     a = np.asarray(alpha, np.float64)
     return np.asarray((a + 1.0) / (2.0 * np.sqrt(np.pi)) * gamma_ratio(0.5 * a + 1.0))
 
@@ -114,8 +116,8 @@ def _band(
     u = (middle - delta[:, None]) + half * nodes  # angle to the mirror direction
     log_lobe = alpha[:, None] * np.log1p(-2.0 * np.sin(0.5 * u) ** 2)
     scale = np.broadcast_to(half, u.shape)
-    # A wide lobe off to one side: cos_+^alpha is not smooth where it ends, so put the nodes at equal steps of the
-    # sixth root of the angle to that end.
+    # A wide lobe off to one side: cos_+^alpha is not smooth where it ends, so put the nodes at equal steps of
+    # the sixth root of the angle to that end.
     edge = (alpha < 30.0) & ((low >= delta) | (high <= delta))
     if np.any(edge):
         side = np.where(high[edge] <= delta[edge], -1.0, 1.0)[:, None]
@@ -141,9 +143,9 @@ def band_integral_table(
 ) -> FloatArray:
     """Return `band_integral` of every alpha with every position, (n_alpha, n_position), to 1e-13 absolute.
 
-    Where neither the horizon nor the edge of cos_+ cuts the band, all positions share one grid in t: panels of at
-    most three lobe widths with 16 Gauss-Legendre nodes, and `across` is evaluated once per grid.  The few positions
-    that are cut go through `band_integral`.
+    Where neither the horizon nor the edge of cos_+ cuts the band, all positions share one grid in t: panels
+    of at most three lobe widths with 16 Gauss-Legendre nodes, and `across` is evaluated once per grid.  The
+    few positions that are cut go through `band_integral`.
     """
     half_deg = np.rad2deg(half_width_rad)
     # cos_+^alpha is not smooth at its edge; 16 nodes need the edge well outside the band

@@ -12,7 +12,7 @@ from gonio.aperture import Aperture, ApertureName
 from gonio.fitting.covariance import CommonMode, random_and_common, without_common
 from gonio.fitting.limits import lobe_is_seen, profile_limits
 from gonio.fitting.notes import write_notes
-from gonio.fitting.problem import N2_MAX, N2_MIN, Problem, published_from_basic, published_jacobian
+from gonio.fitting.problem import N2_MIN, Problem, published_from_basic, published_jacobian
 from gonio.fitting.result import CONFIDENCE, PARAMETERS, FitResult, IntervalMethod, PolarizationChoice
 from gonio.fitting.solve import Solution
 
@@ -133,14 +133,16 @@ def _findings(
     if common is not None:  # the scatter alone, without what positions share
         clean, taken = without_common(problem, basic, w, residual, common)
         scale = np.sum(w * clean**2, axis=0) / (dof - taken)
-    t = stats.t.ppf(0.5 + 0.5 * CONFIDENCE, dof)
+    t = np.asarray(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, dof))
     held = np.zeros((len(basic), 4), bool)
     held[:, 3] = single
     held[~lobe, 1:] = True
     inverse, shared = random_and_common(problem, basic, w, held, common)
     covariance = scale[:, None, None] * inverse + shared
     if intervals == "wald":
-        limits = _limits(problem, y, w, Solution(basic, chi2, solution.converged), lobe, single, scale, t, inverse)
+        limits = _limits(
+            problem, y, w, Solution(basic, chi2, solution.converged), lobe, single, scale, t, inverse
+        )
         # a lobe inside one aperture: alpha is unbounded above, and the rest does not depend on it
         mirror = lobe & np.isposinf(limits[1][:, 0])
         if np.any(mirror):
@@ -156,7 +158,7 @@ def _findings(
     if intervals == "wald":
         factor = np.exp(t * np.sqrt(covariance[:, 2, 2]))
         lower[:, 2], upper[:, 2] = value[:, 2] / factor, value[:, 2] * factor
-        _open(value, se, lower, upper, published, basic, limits)
+        _open(se, lower, upper, published, basic, limits)
     value[~lobe, 2:] = np.nan
     value[~lobe, 1] = 0.0
     basic[~lobe, 2:] = np.nan
@@ -206,7 +208,6 @@ def _limits(
 
 
 def _open(
-    value: FloatArray,
     se: FloatArray,
     lower: FloatArray,
     upper: FloatArray,
@@ -214,7 +215,7 @@ def _open(
     basic: FloatArray,
     limits: tuple[FloatArray, FloatArray],
 ) -> None:
-    """Put open-ended profile limits in place of Wald's; a parameter without a bound has no standard uncertainty."""
+    """Put open-ended profile limits in place of Wald's; what has no bound has no se."""
     low, high = limits
     alpha = ~np.isnan(low[:, 0])
     lower[alpha, 2], upper[alpha, 2] = np.exp(low[alpha, 0]), np.exp(high[alpha, 0])
@@ -232,8 +233,6 @@ def _open(
     for column, rows in ((1, n2), (2, alpha), (3, n2)):
         se[rows, column] = np.nan
         covariance[rows, column, :] = covariance[rows, :, column] = np.nan
-    at_end = n2 & ((basic[:, 3] <= N2_MIN) | (basic[:, 3] >= N2_MAX))
-    value[at_end, 1] = np.where(basic[at_end, 3] <= N2_MIN, np.inf, value[at_end, 1])
 
 
 def _condition(covariance: FloatArray) -> FloatArray:

@@ -20,8 +20,8 @@ _FLAT = 1e-9  # a parameter that moves no reading by more than this part of the 
 class CommonMode:
     """Standard uncertainties that all positions of one polarization share, (n, m) each.
 
-    An error g of the 100 % baseline scales every reading, ``g r``; an error o of the dark reading shifts it.  They are
-    no scatter: more positions do not average them out, and residuals do not show them.
+    An error g of the 100 % baseline scales every reading, ``g r``; an error o of the dark reading shifts
+    it.  They are no scatter: more positions do not average them out, and residuals do not show them.
     """
 
     gain_u: FloatArray  # relative
@@ -31,14 +31,16 @@ class CommonMode:
 def without_common(
     problem: Problem, basic: FloatArray, w: FloatArray, residual: FloatArray, common: CommonMode
 ) -> tuple[FloatArray, FloatArray]:
-    """Return residuals (n, m) freed of what the common modes explain, and the degrees of freedom they took, (m,).
+    """Return residuals (n, m) without what the common modes explain, and the degrees of freedom taken.
 
-    What a baseline error does to S alone the four parameters cannot take up; it stays in the residuals and would pass
-    for noise.  The amplitudes of the modes are estimated from the residuals with their standard uncertainty as prior,
+    What a baseline error does to S alone the four parameters cannot take up; it stays in the residuals and
+    would pass for noise.  The amplitudes of the modes are estimated from the residuals with their standard
+    uncertainty as prior,
 
         d = (V' W V / s^2 + 1)^-1 V' W e / s^2,
 
-    V the modes after projection off the parameters, s^2 the variance scale of the residuals, found by iteration.
+    V the modes after projection off the parameters, s^2 the variance scale of the residuals, found by
+    iteration.
     """
     clean, taken = residual.copy(), np.zeros(len(basic))
     for at in range(0, len(basic), _BLOCK):
@@ -82,12 +84,12 @@ def _modes(problem: Problem, basic: FloatArray, common: CommonMode, part: slice)
 def random_and_common(
     problem: Problem, basic: FloatArray, w: FloatArray, held: BoolArray, common: CommonMode | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the inverse normal matrix and the common-mode covariance of the basic parameters, (m, 4, 4) each.
+    """Return inverse normal matrix and common-mode covariance of the basic parameters, (m, 4, 4) each.
 
-    The first is ``(J' W J)^-1``, to be scaled by chi2 per degree of freedom.  The second is the sum over common modes
-    of ``s s'`` with ``s = (J' W J)^-1 J' W v``, the shift of the optimum by one standard uncertainty of that mode,
-    ``v = gain_u r`` or ``offset_u`` over the positions of one polarization.  Parameters that are `held` (m, 4), or that
-    no reading depends on, have NaN.
+    The first is ``(J' W J)^-1``, to be scaled by chi2 per degree of freedom.  The second is the sum over
+    common modes of ``s s'`` with ``s = (J' W J)^-1 J' W v``, the shift of the optimum by one standard
+    uncertainty of that mode, ``v = gain_u r`` or ``offset_u`` over the positions of one
+    polarization.  Parameters that are `held` (m, 4), or that no reading depends on, have NaN.
     """
     inverse, shared = np.empty((len(basic), 4, 4)), np.zeros((len(basic), 4, 4))
     for at in range(0, len(basic), _BLOCK):
@@ -113,7 +115,7 @@ def random_and_common(
 
 
 def leverage(problem: Problem, basic: FloatArray, w: FloatArray) -> FloatArray:
-    """Return the diagonal of the hat matrix, (n, m): how much each reading pulls the fit towards itself, 0...1."""
+    """Return the diagonal of the hat matrix, (n, m): how much a reading pulls the fit to itself, 0...1."""
     h = np.empty_like(w)
     for at in range(0, len(basic), _BLOCK):
         part = slice(at, at + _BLOCK)

@@ -41,7 +41,7 @@ _ARRAYS: tuple[tuple[str, str, str], ...] = (
 
 
 def save_fit(fit: FitResult, path: Path | str, name: str | None) -> str:
-    """Write ``/entry/fit_NAME``; the group is complete before it takes the place of an older one of that name."""
+    """Write ``/entry/fit_NAME``; it is complete before it replaces an older one of that name."""
     name = f"{fit.aperture}_{fit.polarization}" if name is None else name.removeprefix("fit_")
     if not _NAME.fullmatch(name):
         raise StoreError(f"fit name {name!r} may hold letters, digits and _ only; choose another")
@@ -96,7 +96,9 @@ def _opened(path: Path | str, mode: str) -> Any:
     try:
         file = h5py.File(path, mode)
     except OSError as error:
-        raise StoreError(f"{path}: cannot be opened as HDF5 ({error}); is another program writing it?") from None
+        raise StoreError(
+            f"{path}: cannot be opened as HDF5 ({error}); is another program writing it?"
+        ) from None
     if not isinstance(file.get("entry"), h5py.Group):
         file.close()
         raise StoreError(f"{path}: is not a gonio scan, /entry is missing; give a file written by gonio scan")
@@ -141,7 +143,9 @@ def _read(group: Any, where: str) -> FitResult:
             intervals=_text(group["intervals"]),  # type: ignore[arg-type]
             weights=_text(group["weights"]),
             sample_name=_text(group["sample_name"]),
-            instrument=Aperture(*(float(group["instrument"][f][()]) for f in ("width_mm", "height_mm", "distance_mm"))),
+            instrument=Aperture(
+                *(float(group["instrument"][f][()]) for f in ("width_mm", "height_mm", "distance_mm"))
+            ),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise StoreError(f"{where}: is damaged or of another version ({error}); fit the scan again") from None

@@ -45,18 +45,18 @@ def fit(
     scan
         A measured scan, `gonio.load`.  Missing, saturated and refused readings are left out.
     aperture
-        ``"exact"`` integrates the scan's aperture; ``"eq22"``, ``"point"`` and ``"published"`` are the paper's
-        approximations, see `gonio.aperture.Aperture.variant`.
+        ``"exact"`` integrates the scan's aperture; ``"eq22"``, ``"point"`` and ``"published"`` are the
+        paper's approximations, see `gonio.aperture.Aperture.variant`.
     polarization
         ``"joint"`` fits S and P with common parameters, ``"s"`` or ``"p"`` one of them alone.
     weights
-        ``"auto"``: from a variance function of the residuals (`gonio.fitting.noise`), begun with `scan.r_sd` where it
-        is given; ``"r_sd"``: 1/r_sd^2 as it is; ``"none"``: all alike.  The covariance is scaled by chi2 per degree
-        of freedom in each case.
+        ``"auto"``: from a variance function of the residuals (`gonio.fitting.noise`), begun with `scan.r_sd`
+        where it is given; ``"r_sd"``: 1/r_sd^2 as it is; ``"none"``: all alike.  The covariance is scaled by
+        chi2 per degree of freedom in each case.
     intervals
-        ``"wald"``: 95 % by Student's t, alpha on its logarithm, common-mode uncertainties included, open-ended where
-        the data give no bound.  ``"nlparci"``: exactly MATLAB's nlparci, which knows none of this, on unweighted
-        residuals.
+        ``"wald"``: 95 % by Student's t, alpha on its logarithm, common-mode uncertainties included,
+        open-ended where the data give no bound.  ``"nlparci"``: exactly MATLAB's nlparci, which knows none of
+        this, on unweighted residuals.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def fit_readings(
     intervals: IntervalMethod = "wald",
     sample_name: str = "",
 ) -> FitResult:
-    """Fit plain arrays: (n,) angles in degrees, (n,) ``"s"``/``"p"``, (n, m) readings r, NaN where there is none.
+    """Fit plain arrays: (n,) angles in degrees, (n,) ``"s"``/``"p"``, (n, m) readings, NaN for none.
 
     `r_sd`, `gain_u`, `offset_u` broadcast to (n, m) and default to unknown; see `fit` and `gonio.store.Scan`.
     """
@@ -118,8 +118,8 @@ def fit_readings(
     theta_i, theta_o = np.asarray(theta_i_deg, np.float64), np.asarray(theta_o_deg, np.float64)
     if not theta_i.shape == theta_o.shape == which.shape == (n,):
         raise FitError(
-            f"the readings have {n} positions, but there are {theta_i.size} theta_i, {theta_o.size} theta_o and "
-            f"{which.size} polarizations; give one of each per position"
+            f"the readings have {n} positions, but there are {theta_i.size} theta_i, {theta_o.size} "
+            f"theta_o and {which.size} polarizations; give one of each per position"
         )
     chosen = np.isin(which, ["s", "p"]) if polarization == "joint" else which == polarization
     if not np.any(chosen):
@@ -130,7 +130,9 @@ def fit_readings(
     detector = np.zeros(m, np.uint8) if detector_index is None else np.asarray(detector_index, np.uint8)
     wavelength = np.full(m, np.nan) if wavelength_nm is None else np.asarray(wavelength_nm, np.float64)
     if wavelength.shape != (m,) or detector.shape != (m,):
-        raise FitError(f"the readings have {m} wavelengths, but wavelength_nm or detector_index do not; give {m} each")
+        raise FitError(
+            f"the readings have {m} wavelengths, but wavelength_nm or detector_index do not; give {m} each"
+        )
     single = single_group(problem, used.use)
     common = None
     if intervals == "wald":
@@ -175,7 +177,9 @@ class _Used:
     weights: WeightMethod
 
     @classmethod
-    def of(cls, readings: FloatArray, r_sd: FloatArray, weights: WeightMethod, intervals: IntervalMethod) -> _Used:
+    def of(
+        cls, readings: FloatArray, r_sd: FloatArray, weights: WeightMethod, intervals: IntervalMethod
+    ) -> _Used:
         if intervals == "nlparci" and weights != "none":
             weights = "none"  # nlparci's covariance is mse (J'J)^-1
         use = np.isfinite(readings)
@@ -187,11 +191,13 @@ class _Used:
         if not columns.size:
             what = "readings with a standard deviation r_sd" if weights == "r_sd" else "usable readings"
             raise FitError(
-                f"no wavelength has {FEWEST_READINGS} {what} (the best has {int(count.max(initial=0))}), the fewest that "
-                "determine four parameters and their noise; measure more positions"
+                f"no wavelength has {FEWEST_READINGS} {what} (the best has {int(count.max(initial=0))}), the "
+                "fewest that determine four parameters and their noise; measure more positions"
             )
         use = use[:, columns]
-        whole = np.all(known[:, columns] | ~use, axis=0)  # r_sd for some readings only would misweigh the others
+        whole = np.all(
+            known[:, columns] | ~use, axis=0
+        )  # r_sd for some readings only would misweigh the others
         weigh = (weights != "none") & whole
         variance = np.where(weigh & use, r_sd[:, columns], 1.0) ** 2
         return cls(columns, count, np.where(use, readings[:, columns], 0.0), use, use / variance, weights)
@@ -227,10 +233,8 @@ def _solve(
     return solution, w
 
 
-def _refine(
-    problem: Problem, used: _Used, w: FloatArray, begin: FloatArray, single: BoolArray
-) -> Solution:
-    """Refine with n2 held at 1.5 where a single incidence and polarization was measured, which cannot tell it."""
+def _refine(problem: Problem, used: _Used, w: FloatArray, begin: FloatArray, single: BoolArray) -> Solution:
+    """Refine, with n2 held at 1.5 where a single incidence and polarization cannot tell it."""
     if not np.any(single):
         return refine(problem, used.y, w, begin)
     begin = np.where(single[:, None] & np.array([False, True]), 1.5, begin)
@@ -244,7 +248,7 @@ def _refine(
 
 
 def single_group(problem: Problem, use: BoolArray) -> BoolArray:
-    """Return where all used readings share one incidence (within half a degree) and one polarization, (k,)."""
+    """Return where all used readings share one incidence (to half a degree) and polarization, (k,)."""
     theta = np.where(use, problem.theta_i_deg[:, None], np.nan)
     one_incidence = np.nanmax(theta, axis=0) - np.nanmin(theta, axis=0) < 0.5
     s = np.sum(use & problem.is_s[:, None], axis=0)

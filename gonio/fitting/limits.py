@@ -19,11 +19,13 @@ _NEAR = 4.0  # standard errors within which a bound is examined by profile
 _BISECTIONS = 18
 
 
-def lobe_is_seen(y: FloatArray, w: FloatArray, diffuse: FloatArray, chi2: FloatArray, dof: FloatArray) -> BoolArray:
+def lobe_is_seen(
+    y: FloatArray, w: FloatArray, diffuse: FloatArray, chi2: FloatArray, dof: FloatArray
+) -> BoolArray:
     """Return where the lobe improves on a purely diffuse fit by more than noise can, (m,).
 
-    An F test of three parameters at 1e-4.  Without a lobe, alpha and n2 are undefined and the test's distribution is
-    not exactly F, since the shape is searched for: hence the low level.
+    An F test of three parameters at 1e-4.  Without a lobe, alpha and n2 are undefined and the test's
+    distribution is not exactly F, since the shape is searched for: hence the low level.
     """
     d = diffuse[:, None]
     rho = np.sum(w * d * y, axis=0) / np.sum(w * d * d, axis=0)
@@ -55,9 +57,9 @@ def profile_limits(
 ) -> Limits:
     """Return profile-likelihood limits of log_alpha (column 0) or n2 (column 1) where a bound is near.
 
-    A wavelength is examined if the bound of the search range lies within four standard errors, or there is no standard
-    error.  If the data accept the bound itself, ``chi2(bound) - chi2 <= t^2 s^2``, that side is open (±inf), and the other
-    end is found by bisection of the profile.
+    A wavelength is examined if the bound of the search range lies within four standard errors, or there is no
+    standard error.  If the data accept the bound itself, ``chi2(bound) - chi2 <= t^2 s^2``, that side is open
+    (±inf), and the other end is found by bisection of the profile.
     """
     at = solution.basic[:, 2 + column]
     near = ~(at - _NEAR * se > LOW[column]) | ~(at + _NEAR * se < HIGH[column])

@@ -1,7 +1,7 @@
 """The lobe's reading at every position, and its derivatives, for any alpha at the cost of a matrix product.
 
-The receiver's lobe integral is a smooth function of ``log(alpha)``.  It is expanded once per scan in Chebyshev
-polynomials; afterwards all wavelengths and all positions are one product ``(m, K) @ (K, n)``.
+The receiver's lobe integral is a smooth function of ``log(alpha)``.  It is expanded once per scan in
+Chebyshev polynomials; afterwards all wavelengths and all positions are one product ``(m, K) @ (K, n)``.
 """
 
 from __future__ import annotations
@@ -25,8 +25,9 @@ _DEGREE = 112
 class LobeTable:
     """Chebyshev coefficients of the lobe term of n positions.
 
-    The tabulated function is the lobe integral divided by `_growth`, its smooth envelope, so that it is of order one
-    over the whole range.  The error of `evaluate` is below 1e-11 of the largest reading at that alpha (tested).
+    The tabulated function is the lobe integral divided by `_growth`, its smooth envelope, so that it is of
+    order one over the whole range.  The error of `evaluate` is below 1e-11 of the largest reading at that
+    alpha (tested).
     """
 
     coefficients: FloatArray  # (3, K, n): of the function and of its first two derivatives in log(alpha)
@@ -49,10 +50,12 @@ class LobeTable:
         second = np.polynomial.chebyshev.chebder(c, 2, scl=2.0 / (high - low))
         stack = np.zeros((3, _DEGREE, position.shape[1]))
         stack[0], stack[1, :-1], stack[2, :-2] = c, first, second
-        return cls(np.ascontiguousarray(stack[:, :, inverse.ravel()]), receiver.solid_angle_sr, receiver.lobe_growth)
+        return cls(
+            np.ascontiguousarray(stack[:, :, inverse.ravel()]), receiver.solid_angle_sr, receiver.lobe_growth
+        )
 
     def evaluate(self, log_alpha: FloatArray, *, derivatives: int = 0) -> tuple[FloatArray, ...]:
-        """Return the lobe term (n, m) at m values of log(alpha), and as many derivatives in log(alpha) as asked."""
+        """Return the lobe term (n, m) at m values of log(alpha), and its derivatives by log(alpha)."""
         low, high = np.log(ALPHA_MIN), np.log(ALPHA_MAX)
         z = np.clip((2.0 * log_alpha - low - high) / (high - low), -1.0, 1.0)
         basis = np.cos(np.arange(_DEGREE)[:, None] * np.arccos(z))  # (K, m)
@@ -66,11 +69,13 @@ class LobeTable:
         return tuple(result)
 
 
-def _growth(log_alpha: FloatArray, solid_angle_sr: float, growth: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the envelope ``(alpha + 1) / (alpha0 + alpha + 1)^(1 - growth)`` and two derivatives in log(alpha).
+def _growth(
+    log_alpha: FloatArray, solid_angle_sr: float, growth: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the envelope ``(alpha + 1) / (alpha0 + alpha + 1)^(1 - growth)`` and its derivatives.
 
-    A wide lobe's reading is ``(alpha + 1)/(2 pi) Omega``; it levels off, or goes on as ``alpha^growth``, where the lobe
-    becomes narrower than the aperture, near ``alpha0 = 2 pi / Omega``.
+    A wide lobe's reading is ``(alpha + 1)/(2 pi) Omega``; it levels off, or goes on as ``alpha^growth``,
+    where the lobe becomes narrower than the aperture, near ``alpha0 = 2 pi / Omega``.
     """
     a = np.exp(log_alpha)
     wide, narrow, p = 1.0 + a, 1.0 + a + 2.0 * np.pi / solid_angle_sr, 1.0 - growth

@@ -1,12 +1,13 @@
 """How noisy is each reading?  A variance function, estimated from the residuals of a first fit.
 
-A goniospectrophotometer's noise has a floor (detector), a part that grows with the signal (shot noise) and a part
-proportional to it (flicker of the lamp):
+A goniospectrophotometer's noise has a floor (detector), a part that grows with the signal (shot noise) and a
+part proportional to it (flicker of the lamp):
 
     var(r) = c0 + c1 r + c2 r^2,   all c >= 0,
 
-evaluated at the fitted r, for weights taken from noisy readings would bias the fit.  The coefficients are found for each
-wavelength from the squared residuals of its neighbours too, never across a change of the detector.
+evaluated at the fitted r, for weights taken from noisy readings would bias the fit.  The coefficients are
+found for each wavelength from the squared residuals of its neighbours too, never across a change of the
+detector.
 """
 
 from __future__ import annotations
@@ -26,7 +27,10 @@ _FLOOR = 1e-6  # of the mean variance; keeps weights finite where the fitted fun
 
 
 def variance_function(
-    squared_residual: FloatArray, model: FloatArray, use: NDArray[np.bool_], detector_index: NDArray[np.integer]
+    squared_residual: FloatArray,
+    model: FloatArray,
+    use: NDArray[np.bool_],
+    detector_index: NDArray[np.integer],
 ) -> FloatArray:
     """Return the variance of every reading.
 
@@ -78,7 +82,7 @@ def _pooled(values: FloatArray, detector_index: NDArray[np.integer]) -> FloatArr
 
 
 def _non_negative(normal: FloatArray, right: FloatArray) -> FloatArray:
-    """Return argmin of ``c' A c / 2 - b' c`` over c >= 0 for each of m small problems, by trying every active set."""
+    """Return argmin of ``c' A c / 2 - b' c`` over c >= 0, m times, by trying every active set."""
     m, p = right.shape
     best, value = np.zeros((m, p)), np.zeros(m)
     for size in range(1, p + 1):
@@ -90,6 +94,6 @@ def _non_negative(normal: FloatArray, right: FloatArray) -> FloatArray:
             c = np.linalg.solve(a, right[:, pick][:, :, None])[:, :, 0]
             gain = 0.5 * np.sum(c * right[:, pick], axis=1)
             better = np.all(c >= 0.0, axis=1) & (gain > value)
-            best[np.ix_(np.flatnonzero(better), pick)] = c[better]
+            best[np.flatnonzero(better)[:, None], pick] = c[better]
             value[better] = gain[better]
     return best

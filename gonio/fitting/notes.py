@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
 _OUTLIER = 6.0  # standard deviations; among a million Gaussian readings none
 _INSEPARABLE = 0.95
+_BY_CHANCE = 4.0  # standard errors; so far off is no chance, even at one wavelength of many
 
 
 def write_notes(found: Findings, position: NDArray[np.intp]) -> list[str]:
@@ -20,13 +21,16 @@ def write_notes(found: Findings, position: NDArray[np.intp]) -> list[str]:
     with np.errstate(invalid="ignore", divide="ignore"):
         deviation = np.abs(found.residual) / (found.sigma * scale)
     rounding = np.nanmax(np.abs(found.residual), axis=0) < 1e-11 * np.abs(found.basic[:, 0])
-    return ["; ".join(_of(found, k, position, deviation[:, k], bool(rounding[k]))) for k in range(len(found.value))]
+    return [
+        "; ".join(_of(found, k, position, deviation[:, k], bool(rounding[k])))
+        for k in range(len(found.value))
+    ]
 
 
 def _of(
     found: Findings, k: int, position: NDArray[np.intp], deviation: NDArray[np.float64], rounding: bool
 ) -> list[str]:
-    rho_d, rho_s, alpha, _ = found.value[k]
+    rho_d, rho_s = found.value[k, :2]
     parts: list[str] = []
     if not found.converged[k]:
         parts.append("the search did not converge")
@@ -36,12 +40,16 @@ def _of(
         parts.extend(_shape_notes(found, k))
         if rho_s < 0.0:
             parts.append(f"rho_s = {rho_s:.3g} is negative, unphysical: a dip where the lobe should be")
-        elif np.isfinite(rho_s) and rho_s - 4.0 * found.se[k, 1] > 1.0:  # not by chance at one wavelength of many
-            parts.append(f"rho_s = {rho_s:.3g} is above 1, unphysical: more light in the lobe than n2 lets reflect")
+        elif np.isfinite(rho_s) and rho_s - _BY_CHANCE * found.se[k, 1] > 1.0:
+            parts.append(
+                f"rho_s = {rho_s:.3g} is above 1, unphysical: more light in the lobe than n2 lets reflect"
+            )
     if rho_d < 0.0:
         parts.append(f"rho_d = {rho_d:.3g} is negative, unphysical: look at the dark readings")
     if rho_d > 1.0:
-        parts.append(f"rho_d = {rho_d:.3g} is above 1, unphysical: look at the baseline and the aperture's distance")
+        parts.append(
+            f"rho_d = {rho_d:.3g} is above 1, unphysical: look at the baseline and the aperture's distance"
+        )
     outliers = np.flatnonzero(deviation > _OUTLIER)
     if outliers.size and not rounding:
         worst = outliers[np.argsort(-deviation[outliers])][:3]
@@ -54,8 +62,8 @@ def _shape_notes(found: Findings, k: int) -> list[str]:
     parts: list[str] = []
     if found.single[k]:
         parts.append(
-            "one incidence and one polarization tell only rho_s R(theta_i): rho_s and n2 are undetermined, measure "
-            "another incidence or polarization"
+            "one incidence and one polarization tell only rho_s R(theta_i): rho_s and n2 are undetermined, "
+            "measure another incidence or polarization"
         )
     low, high = found.lower[k, 2], found.upper[k, 2]
     if np.isposinf(high) and low <= 0.0:

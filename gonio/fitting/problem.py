@@ -2,9 +2,10 @@
 
     r = rho_d D_i + k_n q_i(n2) L_i(log alpha)
 
-`D` is the diffuse reading of a white Lambertian surface, `L` the part of the lobe that is received, ``q = R(theta_i) /
-R(0)``, and ``k_n = rho_s R(0)`` the specular coefficient at normal incidence.  The published `rho_s` diverges as n2
-approaches 1 while k_n stays finite, and log(alpha) is nearer to normal than alpha: the fit works in these
+`D` is the diffuse reading of a white Lambertian surface, `L` the part of the lobe that is received, ``q =
+R(theta_i) / R(0)``, and ``k_n = rho_s R(0)`` the specular coefficient at normal incidence.  The published
+`rho_s` diverges as n2 approaches 1 while k_n stays finite, and log(alpha) is nearer to normal than alpha: the
+fit works in these
 **basic** parameters (rho_d, k_n, log_alpha, n2) and transforms at the end.
 """
 
@@ -40,9 +41,13 @@ class Problem:
     groups: tuple[tuple[float, bool], ...]  # distinct (theta_i, is_s)
 
     @classmethod
-    def of(cls, receiver: Receiver, theta_i_deg: FloatArray, theta_o_deg: FloatArray, is_s: BoolArray) -> Problem:
+    def of(
+        cls, receiver: Receiver, theta_i_deg: FloatArray, theta_o_deg: FloatArray, is_s: BoolArray
+    ) -> Problem:
         """Tabulate a receiver at n positions, (n,) each."""
-        pairs, index = np.unique(np.stack([theta_i_deg, is_s.astype(np.float64)]), axis=1, return_inverse=True)
+        pairs, index = np.unique(
+            np.stack([theta_i_deg, is_s.astype(np.float64)]), axis=1, return_inverse=True
+        )
         return cls(
             theta_i_deg,
             is_s,
@@ -67,7 +72,8 @@ class Problem:
 
     def _by_group(self, function: fresnel.RatioFunction, n2: FloatArray) -> FloatArray:
         rows = np.empty((len(self.groups), n2.size))
-        for polarization, wanted in (("s", True), ("p", False)):
+        choices: tuple[tuple[fresnel.Polarization, bool], ...] = (("s", True), ("p", False))
+        for polarization, wanted in choices:
             pick = [k for k, (_, is_s) in enumerate(self.groups) if is_s is wanted]
             theta = np.array([self.groups[k][0] for k in pick])[:, None]
             if pick:

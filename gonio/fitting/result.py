@@ -27,7 +27,7 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coefficient:
-    """One quantity over wavelength, (m,) each: value, standard uncertainty, and the ends of the 95 % interval."""
+    """One quantity over wavelength, (m,) each: value, standard uncertainty, ends of the 95 % interval."""
 
     value: FloatArray
     se: FloatArray
@@ -39,8 +39,8 @@ class Coefficient:
 class Hemispherical:
     """Hemispherical coefficients at one incidence, the mean of S and P (Eq 19-21).
 
-    `k_s` and `k_g` count the lobe's energy above the horizon; `k_s_published` and `k_g_published` are the paper's
-    ``rho_s R``, which counts the part below it too.
+    `k_s` and `k_g` count the lobe's energy above the horizon; `k_s_published` and `k_g_published` are the
+    paper's ``rho_s R``, which counts the part below it too.
     """
 
     theta_i_deg: float
@@ -59,18 +59,18 @@ class FitResult:
     ----------
     wavelength_nm, detector_index : (m,)
     parameters : names of the columns of `value`
-    value, se, lower, upper : (m, 4); NaN where the data do not determine a parameter (see `notes`), infinite or 0
+    value, se, lower, upper : (m, 4); NaN where the data do not determine a parameter (see `notes`), infinite
+    or 0
         where they bound it on one side only
     covariance : (m, 4, 4) of `value`: random part and common-mode part
     basic, basic_covariance : (m, 4), (m, 4, 4), the same result as (rho_d, k_n, log_alpha, n2) with
         ``k_n = rho_s R(0)``; these stay finite where `rho_s` does not
-    chi2, dof : (m,), weighted sum of squared residuals and degrees of freedom; ``chi2 / dof`` has scaled `covariance`
-    rms : (m,), root mean square residual, in r
-    condition : (m,), condition number of the correlation matrix of `value`
-    notes : m texts, empty where there is nothing to say
-    residual : (n, m), data minus fit, in r; NaN where a reading was not used
-    sigma : (n, m), standard deviation of a reading that the weights stand for, before scaling by chi2
-    theta_i_deg, theta_o_deg, polarization_of : (n,), the positions that were fitted
+    chi2, dof : (m,), weighted sum of squared residuals and degrees of freedom; ``chi2 / dof`` has scaled
+    `covariance` rms : (m,), root mean square residual, in r condition : (m,), condition number of the
+    correlation matrix of `value` notes : m texts, empty where there is nothing to say residual : (n, m), data
+    minus fit, in r; NaN where a reading was not used sigma : (n, m), standard deviation of a reading that the
+    weights stand for, before scaling by chi2 theta_i_deg, theta_o_deg, polarization_of : (n,), the positions
+    that were fitted
     """
 
     wavelength_nm: FloatArray
@@ -148,7 +148,7 @@ class FitResult:
         return r
 
     def hemispherical(self, theta_i_deg: float = 8.0) -> Hemispherical:
-        """Return k_d, k_s, k_g at an incidence, degrees, with intervals by the delta method and full covariance."""
+        """Return k_d, k_s, k_g at an incidence, degrees, by the delta method with the full covariance."""
         rho_d, k_n, log_alpha, n2 = self.basic.T
         safe_n2, safe_a = np.where(np.isfinite(n2), n2, 1.5), np.where(np.isfinite(log_alpha), log_alpha, 0.0)
         q = fresnel.reflectance_ratio(safe_n2, theta_i_deg, "unpolarized")
@@ -163,10 +163,14 @@ class FitResult:
             gradient[:, 0] = diffuse
             if lobe:
                 value = value + k_n * q * fraction + unknown
-                shape = np.stack([q * fraction, k_n * q * slope, k_n * dq * fraction], axis=1) + unknown[:, None]
+                shape = (
+                    np.stack([q * fraction, k_n * q * slope, k_n * dq * fraction], axis=1) + unknown[:, None]
+                )
                 gradient[:, 1:] = np.where(no_lobe[:, None], 0.0 if diffuse else np.nan, shape)
             # what a coefficient does not depend on may be unknown
-            covariance = np.where(gradient[:, :, None] * gradient[:, None, :] == 0.0, 0.0, self.basic_covariance)
+            covariance = np.where(
+                gradient[:, :, None] * gradient[:, None, :] == 0.0, 0.0, self.basic_covariance
+            )
             variance = np.einsum("ma,mab,mb->m", gradient, covariance, gradient)
             se = np.sqrt(np.where(variance >= 0.0, variance, np.nan))
             half = self.quantile * se

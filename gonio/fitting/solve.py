@@ -1,9 +1,10 @@
-"""Where is the least-squares optimum?  Global start on a grid, then Newton steps, for all wavelengths at once.
+"""Where is the least-squares optimum?  Global start on a grid, then Newton steps, all wavelengths at once.
 
-`rho_d` and `k_n` enter linearly and are eliminated (variable projection), so the search is over (log_alpha, n2) alone.
-`start` evaluates the projected chi2 on a grid that covers the whole range: nothing depends on a starting value.
-`refine` takes damped Newton steps with the exact Hessian of the projected problem, which converge quadratically also
-where residuals are large; steps end at the bounds of the range, and a variable that pushes against its bound rests there.
+`rho_d` and `k_n` enter linearly and are eliminated (variable projection), so the search is over (log_alpha,
+n2) alone. `start` evaluates the projected chi2 on a grid that covers the whole range: nothing depends on a
+starting value. `refine` takes damped Newton steps with the exact Hessian of the projected problem, which
+converge quadratically also where residuals are large; steps end at the bounds of the range, and a variable
+that pushes against its bound rests there.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ class Solution:
 def start(problem: Problem, y: FloatArray, w: FloatArray) -> FloatArray:
     """Return the best grid point (log_alpha, n2) of each wavelength, (m, 2).
 
-    Incidences closer than half a degree share one Fresnel ratio here, so the cost is that of a few sums per group.
+    Incidences closer than half a degree share one Fresnel ratio here, so the cost is that of a few sums per
+    group.
 
     Parameters
     ----------
@@ -50,7 +52,9 @@ def start(problem: Problem, y: FloatArray, w: FloatArray) -> FloatArray:
     """
     keys = {(round(2.0 * theta), s) for theta, s in problem.groups}
     groups = sorted(keys)
-    member = np.array([groups.index((round(2.0 * theta), s)) for theta, s in problem.groups])[problem.incidence]
+    member = np.array([groups.index((round(2.0 * theta), s)) for theta, s in problem.groups])[
+        problem.incidence
+    ]
     ratio = np.empty((len(groups), _GRID_N2.size))
     for g in range(len(groups)):
         first = int(np.flatnonzero(member == g)[0])
@@ -79,14 +83,21 @@ def start(problem: Problem, y: FloatArray, w: FloatArray) -> FloatArray:
 
 
 def refine(
-    problem: Problem, y: FloatArray, w: FloatArray, begin: FloatArray, *, free: tuple[bool, bool] = (True, True)
+    problem: Problem,
+    y: FloatArray,
+    w: FloatArray,
+    begin: FloatArray,
+    *,
+    free: tuple[bool, bool] = (True, True),
 ) -> Solution:
     """Return the local optimum reached from `begin`, (m, 2), of (log_alpha, n2).
 
     `free` holds log_alpha or n2 at its given value, for profiles and for data that cannot determine it.
     """
     parts = [
-        _refine_block(problem, y[:, at : at + _BLOCK], w[:, at : at + _BLOCK], begin[at : at + _BLOCK], np.array(free))
+        _refine_block(
+            problem, y[:, at : at + _BLOCK], w[:, at : at + _BLOCK], begin[at : at + _BLOCK], np.array(free)
+        )
         for at in range(0, y.shape[1], _BLOCK)
     ]
     return Solution(*(np.concatenate(x) for x in zip(*parts, strict=True)))
@@ -112,8 +123,11 @@ def _refine_block(
         better = (new.chi2 < here.chi2) | small
         x[todo[better]] = trial[better]
         state.put(todo[better], new.of(np.flatnonzero(better)))
-        damping[todo] = np.where(better, np.where(damping[todo] > 1e-5, damping[todo] / 10.0, 0.0),
-                                 np.maximum(10.0 * damping[todo], 1e-3))
+        damping[todo] = np.where(
+            better,
+            np.where(damping[todo] > 1e-5, damping[todo] / 10.0, 0.0),
+            np.maximum(10.0 * damping[todo], 1e-3),
+        )
         # an undamped Newton step below _QUADRATIC has landed; a damped one that small cannot be improved on
         done[todo] = small
     basic = np.stack([state.rho_d, state.k_n, x[:, 0], x[:, 1]], axis=1)
@@ -174,7 +188,12 @@ class _Projected:
     def of(self, rows: NDArray[np.intp]) -> _Projected:
         """Return the part of some wavelengths."""
         return _Projected(
-            self.rho_d[rows], self.k_n[rows], self.chi2[rows], self.gradient[rows], self.hessian[rows], self.scale[rows]
+            self.rho_d[rows],
+            self.k_n[rows],
+            self.chi2[rows],
+            self.gradient[rows],
+            self.hessian[rows],
+            self.scale[rows],
         )
 
     def put(self, rows: NDArray[np.intp], other: _Projected) -> None:

@@ -1,7 +1,8 @@
-"""The printed table of a fit: one row per wavelength band, beside the truth and the sphere where they are known."""
+"""The printed table of a fit: one row per wavelength band, beside truth and sphere where known."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,8 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-BANDS = ((300.0, 400.0), (400.0, 550.0), (550.0, 700.0), (700.0, 860.0), (860.0, 1100.0), (1100.0, 1300.0), (1300.0, 1500.0))  # fmt: skip
+_EDGES_NM = (300.0, 400.0, 550.0, 700.0, 860.0, 1100.0, 1300.0, 1500.0)
+BANDS = tuple(itertools.pairwise(_EDGES_NM))
 THETA_I_DEG = 8.0
 """Incidence of k_s and k_g in the table: the integrating sphere's."""
 
@@ -32,15 +34,17 @@ def band_table(
     Parameters
     ----------
     bands
-        (low, high) in nm, low included, high excluded but for the last; None takes those of `BANDS` that the scan has.
+        (low, high) in nm, low included, high excluded but for the last; None takes those of `BANDS` that the
+        scan has.
     truth, sphere
-        Columns over ``wavelength_nm``: `truth` any of the parameters and coefficients, `sphere` ``k_g`` and, if known,
-        its standard uncertainty ``k_g_u``.  They are interpolated to the fit's wavelengths.
+        Columns over ``wavelength_nm``: `truth` any of the parameters and coefficients, `sphere` ``k_g`` and,
+        if known, its standard uncertainty ``k_g_u``.  They are interpolated to the fit's wavelengths.
 
     Notes
     -----
-    Each entry is the plain mean over the band's wavelengths, ± half its 95 % interval with wavelengths independent
-    of each other, their common parts taken as fully correlated only where the covariance says so.
+    An entry is the plain mean over the band's wavelengths ± half its 95 % interval, the wavelengths being
+    independent: each has its own readings, baseline and dark.  The sphere's uncertainty is taken as common to
+    the band.
     """
     columns = _columns(fit)
     rows = _rows(fit, BANDS if bands is None else bands)
@@ -60,11 +64,13 @@ def band_table(
             line = f"{'  true':<11}"
             for name in columns:
                 known = _interpolated(truth, name, fit.wavelength_nm[use])
-                text = "" if known is None else f"{np.mean(known):.{_DIGITS[name]}f}" + " " * (_DIGITS[name] + 5)
+                text = (
+                    "" if known is None else f"{np.mean(known):.{_DIGITS[name]}f}" + " " * (_DIGITS[name] + 5)
+                )
                 line += f"{text:>{width[name]}}"
             lines.append(line.rstrip())
     lines.append(
-        f"mean ± half width of its 95 % interval; k at {THETA_I_DEG:g} deg, S/P mean, lobe above the horizon; "
+        f"mean ± half its 95 % interval; k at {THETA_I_DEG:g} deg, S/P mean, lobe above the horizon; "
         f"aperture '{fit.aperture}', polarization '{fit.polarization}'"
     )
     lines.extend(_remarks(fit))
@@ -75,7 +81,9 @@ def _columns(fit: FitResult) -> dict[str, tuple[FloatArray, FloatArray]]:
     """Return value and half width, (m,) each, by name."""
     columns = {name: (fit.value[:, i], fit.quantile * fit.se[:, i]) for i, name in enumerate(fit.parameters)}
     k = fit.hemispherical(THETA_I_DEG)
-    return columns | {name: (c.value, fit.quantile * c.se) for name, c in (("k_d", k.k_d), ("k_s", k.k_s), ("k_g", k.k_g))}
+    return columns | {
+        name: (c.value, fit.quantile * c.se) for name, c in (("k_d", k.k_d), ("k_s", k.k_s), ("k_g", k.k_g))
+    }
 
 
 def _rows(fit: FitResult, bands: Sequence[tuple[float, float]]) -> list[tuple[str, NDArray[np.bool_]]]:
@@ -108,9 +116,12 @@ def _interpolated(columns: Mapping[str, FloatArray], name: str, at: FloatArray) 
 
 
 def _sphere_entry(
-    fit: FitResult, k_g: tuple[FloatArray, FloatArray], sphere: Mapping[str, FloatArray], use: NDArray[np.bool_]
+    fit: FitResult,
+    k_g: tuple[FloatArray, FloatArray],
+    sphere: Mapping[str, FloatArray],
+    use: NDArray[np.bool_],
 ) -> str:
-    """Return the sphere's mean k_g ± its expanded uncertainty, and E_n of the means (uncertainty of the sphere common)."""
+    """Return the sphere's mean k_g ± its expanded uncertainty, and E_n of the means."""
     known = _interpolated(sphere, "k_g", fit.wavelength_nm[use])
     if known is None or not np.all(np.isfinite(known)):
         return f"{'-':>19}{'-':>7}"
@@ -135,7 +146,11 @@ def _remarks(fit: FitResult) -> list[str]:
     for kind, at in kinds.items():
         example = next(p for p in fit.notes[at[0]].split("; ") if _kind(p) == kind)
         nm = fit.wavelength_nm[at]
-        where = f"{nm[0]:g} nm" if len(at) == 1 else f"{len(at)} wavelengths, {nm.min():g}-{nm.max():g} nm, the first"
+        where = (
+            f"{nm[0]:g} nm"
+            if len(at) == 1
+            else f"{len(at)} wavelengths, {nm.min():g}-{nm.max():g} nm, the first"
+        )
         lines.append(f"  {where}: {example}")
     return ["notes:", *lines] if lines else []
 

@@ -7,12 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-
 from gonio.aperture import Aperture
 
 sys.path.insert(0, str(Path(__file__).parent))  # tests are no package; the helper module is found beside them
 
-from simulate import FloatArray, Positions, paper_positions, plane_quadrature  # noqa: E402
+from simulate import FloatArray, Positions, paper_positions, plane_quadrature
 
 
 @pytest.fixture(scope="session")

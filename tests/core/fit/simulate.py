@@ -6,9 +6,8 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-
 from gonio.aperture import Aperture
+from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
@@ -48,14 +47,16 @@ def fresnel_textbook(n2: float, theta_i_deg: FloatArray, polarization: NDArray[n
 def plane_quadrature(
     at: Positions, rho_d: float, rho_s: float, alpha: float, n2: float, aperture: Aperture, panels: int = 10
 ) -> FloatArray:
-    """r of every position: the dsf summed over the plane of the aperture, element R dA / |p|^3, in Cartesian vectors.
+    """r of every position: the dsf summed over the plane of the aperture, solid angle R dA / |p|^3.
 
     Gauss-Legendre with 10 nodes per panel and direction; points under the sample plane receive nothing.
     """
     nodes, weights = np.polynomial.legendre.leggauss(10)
 
     def rule(*ends: float) -> tuple[FloatArray, FloatArray]:
-        edges = np.concatenate([np.linspace(a, b, panels + 1)[:-1] for a, b in itertools.pairwise(ends)] + [ends[-1:]])
+        edges = np.concatenate(
+            [np.linspace(a, b, panels + 1)[:-1] for a, b in itertools.pairwise(ends)] + [ends[-1:]]
+        )
         half = 0.5 * np.diff(edges)[:, None]
         return ((edges[:-1, None] + half) + half * nodes).ravel(), (half * weights).ravel()
 
@@ -65,8 +66,9 @@ def plane_quadrature(
     r = np.zeros(at.theta_i_deg.size)
     for k in range(r.size):
         o, i = np.deg2rad(at.theta_o_deg[k]), np.deg2rad(at.theta_i_deg[k])
-        # the arm's axis is (sin o, 0, cos o); the aperture's in-plane direction (cos o, 0, -sin o).  The horizon, below
-        # which nothing is, and the edge of cos_+ are lines x = const of the aperture: panels end there.
+        # the arm's axis is (sin o, 0, cos o); the aperture's in-plane direction (cos o, 0, -sin o).  The
+        # horizon, below which nothing is, and the edge of cos_+ are lines x = const of the aperture: panels
+        # end there.
         left, right = -aperture.width_mm / 2.0, aperture.width_mm / 2.0
         horizon, edge = (far / np.tan(angle) if angle != 0.0 else np.inf for angle in (o, o - i))
         left, right = (max(left, horizon), right) if o < 0.0 else (left, min(right, horizon))

@@ -6,11 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from simulate import FloatArray, Positions, fresnel_textbook, instrument_noise, plane_quadrature
-
 from gonio.aperture import Aperture
 from gonio.errors import FitError
 from gonio.fitting import FitResult, fit_readings
+from simulate import FloatArray, Positions, fresnel_textbook, instrument_noise, plane_quadrature
 
 Readings = Callable[..., FloatArray]
 TRUTH = (0.72, 1.0, 90.0, 1.5)
@@ -18,7 +17,9 @@ TRUTH = (0.72, 1.0, 90.0, 1.5)
 
 def run(at: Positions, r: FloatArray, instrument: Aperture, /, **options: object) -> FitResult:
     readings = r if r.ndim == 2 else r[:, None]
-    return fit_readings(at.theta_i_deg, at.theta_o_deg, at.polarization, readings, instrument=instrument, **options)  # type: ignore[arg-type]
+    return fit_readings(
+        at.theta_i_deg, at.theta_o_deg, at.polarization, readings, instrument=instrument, **options
+    )  # type: ignore[arg-type]
 
 
 def noisy(r: FloatArray, seed: int, m: int = 8) -> FloatArray:
@@ -70,7 +71,9 @@ def test_wide_lobe_bounds_alpha_from_above(
     inside = (fit.lower[:, 2] <= 0.15) & (fit.upper[:, 2] >= 0.15)
     assert np.sum(inside) >= 3
     open_end = fit.lower[:, 2] == 0.0
-    assert all(("looks diffuse" in note) == bool(is_open) for note, is_open in zip(fit.notes, open_end, strict=True))
+    assert all(
+        ("looks diffuse" in note) == bool(is_open) for note, is_open in zip(fit.notes, open_end, strict=True)
+    )
 
 
 def test_index_near_one_leaves_rho_s_without_an_upper_bound(
@@ -152,7 +155,9 @@ def test_outliers_are_reported_with_their_position(
     np.testing.assert_allclose(np.delete(fit.se, 7, axis=0), clean.se, rtol=0.2)
 
 
-def test_unphysical_results_say_so(positions: Positions, exact_readings: Readings, aperture: Aperture) -> None:
+def test_unphysical_results_say_so(
+    positions: Positions, exact_readings: Readings, aperture: Aperture
+) -> None:
     high = run(positions, noisy(exact_readings(0.72, 3.5, 90.0, 1.24), 10), aperture)
     assert all("above 1, unphysical" in note for note in high.notes)
     negative = run(positions, noisy(exact_readings(0.72, 1.0, 90.0, 1.5), 11) - 0.05, aperture)

@@ -6,18 +6,19 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from scipy import stats
-from simulate import FloatArray, Positions, fresnel_textbook, instrument_noise
-
 from gonio.aperture import Aperture
 from gonio.brdf import PublishedLobe
 from gonio.fitting import fit_readings
+from scipy import stats
+from simulate import FloatArray, Positions, fresnel_textbook, instrument_noise
 
 Readings = Callable[..., FloatArray]
 
 
-def test_nlparci_intervals_are_matlabs(positions: Positions, exact_readings: Readings, aperture: Aperture) -> None:
-    """v = n - p, s^2 = |res|^2 / v, se = s sqrt(diag(R^-1 R^-T)) with J = QR, value ± t(0.975, v) se; NaN dropped."""
+def test_nlparci_intervals_are_matlabs(
+    positions: Positions, exact_readings: Readings, aperture: Aperture
+) -> None:
+    """v = n - p, s^2 = |res|^2 / v, J = QR, se = s sqrt(diag(R^-1 R^-T)), value ± t(0.975, v) se."""
     rng = np.random.default_rng(6)
     y = exact_readings(0.72, 1.0, 90.0, 1.5) * (1.0 + 0.01 * rng.standard_normal(292))
     y[[3, 70, 200]] = np.nan
@@ -77,7 +78,7 @@ def test_coverage_of_the_95_percent_intervals(
     gain: float,
     offset: float,
 ) -> None:
-    """600 simulated readings of 292 positions; baseline and dark errors are drawn once per polarization and wavelength."""
+    """600 simulated scans; baseline and dark errors are drawn once per polarization and scan."""
     m = 600
     rng = np.random.default_rng(20)
     r = exact_readings(*truth)
@@ -87,7 +88,8 @@ def test_coverage_of_the_95_percent_intervals(
         y[rows] = y[rows] * (1.0 + gain * rng.standard_normal(m)) + offset * rng.standard_normal(m)
     fit = fit_readings(
         positions.theta_i_deg, positions.theta_o_deg, positions.polarization, y,
-        instrument=aperture, polarization=polarization, gain_u=gain, offset_u=offset,  # type: ignore[arg-type]
+        instrument=aperture, polarization=polarization, # type: ignore[arg-type]
+        gain_u=gain, offset_u=offset,
         wavelength_nm=np.linspace(300.0, 1500.0, m), detector_index=np.arange(m) >= m // 2,
     )  # fmt: skip
     low, high = coverage_bounds(m)
@@ -110,10 +112,13 @@ def test_common_mode_does_not_average_out(
     r = exact_readings(0.72, 1.0, 90.0, 1.5)
     y = r[:, None] * (1.0 + 1e-5 * rng.standard_normal((r.size, 5)))
     options = {"instrument": aperture, "gain_u": 0.01}
-    s = fit_readings(positions.theta_i_deg, positions.theta_o_deg, positions.polarization, y, polarization="s", **options)  # type: ignore[arg-type]
+    s = fit_readings(
+        positions.theta_i_deg, positions.theta_o_deg, positions.polarization, y, polarization="s", **options
+    )  # type: ignore[arg-type]
     np.testing.assert_allclose(s.se[:, 0], 0.0072, rtol=1e-2)
     np.testing.assert_allclose(s.se[:, 1], 0.01, rtol=0.2)
-    joint = fit_readings(positions.theta_i_deg, positions.theta_o_deg, positions.polarization, y, **options)  # type: ignore[arg-type]
+    at = (positions.theta_i_deg, positions.theta_o_deg, positions.polarization)
+    joint = fit_readings(*at, y, **options)  # type: ignore[arg-type]
     np.testing.assert_allclose(joint.se[:, 0], 0.0072 / np.sqrt(2.0), rtol=5e-2)
 
 

@@ -6,12 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
-from simulate import FloatArray, Positions, fresnel_textbook, instrument_noise, plane_quadrature
-
 from gonio.aperture import Aperture, ApertureName
 from gonio.brdf import PublishedLobe
 from gonio.fitting import FitResult, fit_readings
+from scipy.optimize import least_squares
+from simulate import FloatArray, Positions, fresnel_textbook, instrument_noise, plane_quadrature
 
 Readings = Callable[..., FloatArray]
 
@@ -26,7 +25,9 @@ TRUTHS = (
 
 def run(at: Positions, r: FloatArray, instrument: Aperture, /, **options: object) -> FitResult:
     readings = r if r.ndim == 2 else r[:, None]
-    return fit_readings(at.theta_i_deg, at.theta_o_deg, at.polarization, readings, instrument=instrument, **options)  # type: ignore[arg-type]
+    return fit_readings(
+        at.theta_i_deg, at.theta_o_deg, at.polarization, readings, instrument=instrument, **options
+    )  # type: ignore[arg-type]
 
 
 def test_simulation_reproduces_the_aperture_reference(aperture: Aperture) -> None:
@@ -48,7 +49,9 @@ def test_noiseless_readings_give_back_the_truth(
     np.testing.assert_allclose(fit.hemispherical(8.0).k_g.value, expected, rtol=1e-10)
 
 
-def test_prediction_is_the_reading(positions: Positions, exact_readings: Readings, aperture: Aperture) -> None:
+def test_prediction_is_the_reading(
+    positions: Positions, exact_readings: Readings, aperture: Aperture
+) -> None:
     r = exact_readings(*TRUTHS[0])
     fit = run(positions, r, aperture)
     predicted = fit.predict(positions.theta_i_deg, positions.theta_o_deg, positions.polarization)
@@ -77,10 +80,14 @@ def test_optimum_is_that_of_an_independent_minimiser(
         reflectance = fresnel_textbook(p[3], positions.theta_i_deg, positions.polarization)
         return (p[0] * diffuse + p[1] * reflectance * lobe - y) / 1e-3
 
-    best = least_squares(residual, truth, x_scale=np.abs(truth), xtol=1e-15, ftol=1e-15, gtol=1e-15, jac="3-point")
+    best = least_squares(
+        residual, truth, x_scale=np.abs(truth), xtol=1e-15, ftol=1e-15, gtol=1e-15, jac="3-point"
+    )
     ours = residual(fit.value[0])
     assert 0.5 * np.sum(ours**2) <= best.cost * (1.0 + 1e-12)
-    np.testing.assert_allclose(fit.value[0], best.x, rtol=2e-6)  # as far as differences of sums of squares tell
+    np.testing.assert_allclose(
+        fit.value[0], best.x, rtol=2e-6
+    )  # as far as differences of sums of squares tell
 
 
 # columns: point, published (Eq 22, ±13 deg), eq22 (±7.77 deg), exact, as printed in PHYSICS.md
@@ -98,8 +105,9 @@ def test_bias_of_the_paper_s_aperture_models(
 ) -> None:
     """PHYSICS.md's table of k_s at 8 degrees: 0.5 % noise, unweighted, truth 0.0400.
 
-    The table's approximate columns were made with 0.0516 sr for the solid angle, ours use the exact 0.0509 sr, to
-    which k_s is inversely proportional.  One draw of noise, as in the table, moves an entry by about 0.0002.
+    The table's approximate columns were made with 0.0516 sr for the solid angle, ours use the exact 0.0509
+    sr, to which k_s is inversely proportional.  One draw of noise, as in the table, moves an entry by about
+    0.0002.
     """
     rng = np.random.default_rng(1)
     r = exact_readings(0.72, 1.0, alpha, 1.5)
@@ -111,7 +119,9 @@ def test_bias_of_the_paper_s_aperture_models(
             k_s = k_s * aperture.solid_angle_sr / 0.0516
         assert float(np.mean(k_s)) == pytest.approx(expected, abs=0.00035)
         if name == "exact":
-            assert float(np.mean(k_s)) == pytest.approx(0.04, abs=4.0 * float(np.std(k_s)) / np.sqrt(12.0) + 2e-6)
+            assert float(np.mean(k_s)) == pytest.approx(
+                0.04, abs=4.0 * float(np.std(k_s)) / np.sqrt(12.0) + 2e-6
+            )
 
 
 def test_result_does_not_depend_on_the_order_of_the_positions(

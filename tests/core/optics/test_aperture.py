@@ -1,4 +1,4 @@
-"""The aperture integral against 30-digit references, an independent plane quadrature, and its closed-form limits."""
+"""The aperture integral against 30-digit references, an independent quadrature, and closed forms."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from pathlib import Path
 import mpmath as mp
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-
 from gonio.aperture import Aperture, InPlaneAverage
 from gonio.errors import ConfigError
+from hypothesis import given
+from hypothesis import strategies as st
 
 ARTA = Aperture(26.0, 18.0, 95.2353)
 REFERENCE = Path(__file__).parent / "aperture_lobe.csv"
@@ -31,7 +30,7 @@ def test_lobe_integral_equals_the_30_digit_reference(alpha: float, delta_deg: fl
 def with_40_digits(
     aperture: Aperture, alpha: float, delta_deg: float, theta_o_deg: float | None = None
 ) -> float:
-    """Direct sum over psi and t in 40 digits: composite Gauss-Legendre cut at the lobe, without the closed form."""
+    """Direct sum over psi and t in 40 digits: Gauss-Legendre panels around the lobe, no closed form."""
     mp.mp.dps = 30
     a, d = mp.mpf(alpha), mp.radians(mp.mpf(delta_deg))
     half = mp.atan(mp.mpf(aperture.width_mm) / (2 * mp.mpf(aperture.distance_mm)))
@@ -155,7 +154,9 @@ def lambert_polygon(aperture: Aperture, theta_o_deg: float) -> float:
 
 @pytest.mark.parametrize("theta_o_deg", [-89.0, -60.0, 10.0, 45.0, 81.0, 84.0, 86.0, 90.0, 95.0])
 @pytest.mark.parametrize("aperture", [ARTA, Aperture(60.0, 50.0, 90.0)])
-def test_diffuse_integral_is_lamberts_polygon_cut_by_the_horizon(aperture: Aperture, theta_o_deg: float) -> None:
+def test_diffuse_integral_is_lamberts_polygon_cut_by_the_horizon(
+    aperture: Aperture, theta_o_deg: float
+) -> None:
     expected = lambert_polygon(aperture, theta_o_deg)
     assert float(aperture.diffuse_integral(theta_o_deg)) == pytest.approx(expected, rel=1e-11, abs=1e-16)
 

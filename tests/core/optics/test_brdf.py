@@ -2,9 +2,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-
 from gonio.brdf import (
     Lambert,
     PublishedLobe,
@@ -18,6 +15,8 @@ from gonio.brdf import (
     reflectance_factor_from_brdf,
 )
 from gonio.fresnel import reflectance
+from hypothesis import given
+from hypothesis import strategies as st
 
 
 @pytest.mark.parametrize("theta_i_deg", [0.0, 20.0, 55.0, 80.0])
@@ -68,7 +67,7 @@ def test_dsf_is_equation_17() -> None:
 
 @given(alpha=st.floats(0.0, 1e8))
 def test_narrow_lobes_keep_their_digits(alpha: float) -> None:
-    """At one lobe width from the axis cos^alpha = exp(-1/2 - ...); cos of the angle itself would be rounded."""
+    """At one lobe width from the axis cos^alpha is about exp(-1/2); a rounded cosine loses it."""
     versine = 0.5 / (alpha + 1.0)
     expected = (alpha + 1.0) / (2.0 * np.pi) * np.exp(alpha * np.log1p(-versine))
     assert float(lobe_dsf(alpha, versine)) == pytest.approx(expected, rel=1e-14)
@@ -80,7 +79,9 @@ def test_check_finds_where_the_published_lobe_creates_energy() -> None:
     # 0.72 + R(unpolarized) passes 1 above 76 deg
     assert check.energy_from_deg == pytest.approx(76.3, abs=0.11)
     assert check.albedo == pytest.approx(0.72 + float(reflectance(1.5, 89.9, "unpolarized")), abs=0.03)
-    assert float(model.directional_albedo(90.0, "s")) == pytest.approx(1.22, rel=1e-12)  # half the lobe is above
+    assert float(model.directional_albedo(90.0, "s")) == pytest.approx(
+        1.22, rel=1e-12
+    )  # half the lobe is above
     assert check_model(PublishedLobe(0.72, 1.0, 30.0, 1.5)).reciprocity > 0.1
     assert "creates energy from 76" in str(check)
 
@@ -95,8 +96,10 @@ def test_lambert_is_reciprocal_and_conserves_energy() -> None:
 
 
 def test_parameters_broadcast_over_wavelengths() -> None:
-    model = PublishedLobe(np.array([0.3, 0.7]), np.array([1.0, 0.5]), np.array([20.0, 200.0]), np.array([1.4, 1.6]))
+    model = PublishedLobe(
+        np.array([0.3, 0.7]), np.array([1.0, 0.5]), np.array([20.0, 200.0]), np.array([1.4, 1.6])
+    )
     both = model.dsf(20.0, 25.0, "s")
     for k in range(2):
-        one = PublishedLobe(model.rho_d[k], model.rho_s[k], model.alpha[k], model.n2[k])  # type: ignore[index]
+        one = PublishedLobe(*(np.asarray(getattr(model, name))[k] for name in model.parameter_names))
         assert both[k] == one.dsf(20.0, 25.0, "s")

@@ -3,11 +3,10 @@ from __future__ import annotations
 import mpmath as mp
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-
 from gonio import angles, fresnel
 from gonio.errors import GonioError
+from hypothesis import given
+from hypothesis import strategies as st
 
 indices = st.floats(1.0, 5.0)
 incidences = st.floats(0.0, 90.0)
@@ -25,7 +24,9 @@ def exact(n2: float, theta_i_deg: float, polarization: str) -> mp.mpf:
 @pytest.mark.parametrize("polarization", ["s", "p"])
 @pytest.mark.parametrize("n2", [1.0 + 1e-9, 1.0001, 1.24, 1.5, 4.0])
 @pytest.mark.parametrize("theta_i_deg", [0.0, 8.0, 20.0, 55.0, 75.0, 89.0, 89.9999])
-def test_reflectance_keeps_all_digits(polarization: fresnel.Polarization, n2: float, theta_i_deg: float) -> None:
+def test_reflectance_keeps_all_digits(
+    polarization: fresnel.Polarization, n2: float, theta_i_deg: float
+) -> None:
     value = float(fresnel.reflectance(n2, theta_i_deg, polarization))
     assert value == pytest.approx(float(exact(n2, theta_i_deg, polarization)), rel=2e-13, abs=1e-32)
 
@@ -52,8 +53,14 @@ def test_exact_ends_without_nan() -> None:
         assert np.all((everywhere >= 0.0) & (everywhere <= 1.0))
 
 
-@given(n2=st.floats(1.01, 5.0), theta=st.floats(0.0, 89.0), polarization=st.sampled_from(["s", "p", "unpolarized"]))
-def test_derivatives_are_those_of_the_functions(n2: float, theta: float, polarization: fresnel.Polarization) -> None:
+@given(
+    n2=st.floats(1.01, 5.0),
+    theta=st.floats(0.0, 89.0),
+    polarization=st.sampled_from(["s", "p", "unpolarized"]),
+)
+def test_derivatives_are_those_of_the_functions(
+    n2: float, theta: float, polarization: fresnel.Polarization
+) -> None:
     h = 1e-6
     for function, derivative in (
         (fresnel.reflectance, fresnel.reflectance_dn2),
@@ -71,7 +78,9 @@ def test_derivatives_are_those_of_the_functions(n2: float, theta: float, polariz
 def test_s_reflects_at_least_as_much_as_p(n2: float, theta: float) -> None:
     r_s, r_p = fresnel.reflectance(n2, theta, "s"), fresnel.reflectance(n2, theta, "p")
     assert r_s >= r_p - 1e-15
-    assert float(fresnel.reflectance(n2, theta, "unpolarized")) == pytest.approx(float(r_s + r_p) / 2.0, rel=1e-15)
+    assert float(fresnel.reflectance(n2, theta, "unpolarized")) == pytest.approx(
+        float(r_s + r_p) / 2.0, rel=1e-15
+    )
 
 
 def test_refusals_name_the_value() -> None:
@@ -103,7 +112,14 @@ def test_sine_and_cosine_in_degrees(angle: float) -> None:
 
 def test_sine_and_cosine_are_exact_at_right_angles() -> None:
     assert angles.cos_deg([90.0, -90.0, 270.0, 450.0, 0.0, 180.0]).tolist() == [0.0, 0.0, 0.0, 0.0, 1.0, -1.0]
-    assert angles.sin_deg([0.0, 180.0, -180.0, 360.0, 90.0, -90.0]).tolist() == [0.0, 0.0, 0.0, 0.0, 1.0, -1.0]
+    assert angles.sin_deg([0.0, 180.0, -180.0, 360.0, 90.0, -90.0]).tolist() == [
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        1.0,
+        -1.0,
+    ]
 
 
 @given(
@@ -111,12 +127,16 @@ def test_sine_and_cosine_are_exact_at_right_angles() -> None:
     theta_o=st.floats(0.0, 90.0),
     azimuth=st.floats(0.0, 180.0),
 )
-def test_angle_to_the_mirror_direction_is_that_of_the_vectors(theta_i: float, theta_o: float, azimuth: float) -> None:
+def test_angle_to_the_mirror_direction_is_that_of_the_vectors(
+    theta_i: float, theta_o: float, azimuth: float
+) -> None:
     i, o, a = np.deg2rad([theta_i, theta_o, azimuth])
     mirror = np.array([np.sin(i), 0.0, np.cos(i)])
     out = np.array([np.sin(o) * np.cos(a), np.sin(o) * np.sin(a), np.cos(o)])
     expected = 0.5 * np.sum((mirror - out) ** 2)  # 1 - cos of unit vectors
-    assert float(angles.one_minus_cos_to_mirror(theta_i, theta_o, azimuth)) == pytest.approx(expected, abs=1e-14)
+    assert float(angles.one_minus_cos_to_mirror(theta_i, theta_o, azimuth)) == pytest.approx(
+        expected, abs=1e-14
+    )
     # a negative theta_o is the same direction half a turn on
     assert float(angles.one_minus_cos_to_mirror(theta_i, -theta_o, 180.0 - azimuth)) == pytest.approx(
         expected, abs=1e-14

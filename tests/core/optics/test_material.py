@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from gonio.errors import GonioError
 from gonio.material import Material
 
@@ -29,7 +28,9 @@ def test_band_conserves_the_mean_coefficients() -> None:
     for theta in material.theta_i_deg:
         for polarization in ("s", "p"):
             expected = mean(material.k_s(theta, polarization))
-            assert float(band.k_s(theta, polarization)[0]) == pytest.approx(expected, abs=1e-4 * mean(material.k_s(theta, "s")))
+            assert float(band.k_s(theta, polarization)[0]) == pytest.approx(
+                expected, abs=1e-4 * mean(material.k_s(theta, "s"))
+            )
             total += float(band.k_s(theta, polarization)[0]) - expected
     assert abs(total) < 1e-6 * 8 * 0.04
     assert material.alpha[use].min() < band.alpha[0] < material.alpha[use].max()
