@@ -77,7 +77,7 @@ class SR830Config(Strict):
         left = self.left_of_a_step()
         if left > 0.05:
             raise ValueError(
-                f"lockin.settle_time_constants = {self.settle_time_constants:g} leaves {left:.0%} of a change "
+                f"lockin.settle_time_constants = {self.settle_time_constants:g} leaves {left:.0%} of a step "
                 f"behind a filter of {self.slope_db_oct} dB/octave; wait longer, so that 5 % or less is left"
             )
         return self

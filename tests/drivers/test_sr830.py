@@ -137,5 +137,5 @@ def test_what_settling_leaves(slope, settle):
 
 
 def test_too_short_a_settling_for_the_slope_is_refused():
-    with pytest.raises(ValidationError, match=r"= 5 leaves 27% of a change .* 24 dB/octave; wait longer"):
+    with pytest.raises(ValidationError, match=r"= 5 leaves 27% of a step .* 24 dB/octave; wait longer"):
         SR830Config(driver="sr830", slope_db_oct=24)
