@@ -199,15 +199,23 @@ def pack(
     optics = [materials[s.material] for s in surfaces]
     material = np.array([(m.rho_d, m.rho_s, m.alpha, m.n2) for m in optics], dtype=np.float64).reshape(-1, 4)
 
-    def stored(array: NDArray[np.generic]) -> NDArray[np.generic]:
+    def stored(array: FloatArray) -> FloatArray:
         return np.ascontiguousarray(array[order])
 
     return (
         Surfaces(
-            *(stored(x) for x in (origin, u, v, normal, dual_u, dual_v, area, material, patch)),  # type: ignore[arg-type]
-            np.ascontiguousarray(boxes[:, 0]),
-            np.ascontiguousarray(boxes[:, 1]),
-            links,
+            origin=stored(origin),
+            u=stored(u),
+            v=stored(v),
+            normal=stored(normal),
+            dual_u=stored(dual_u),
+            dual_v=stored(dual_v),
+            area=stored(area),
+            material=stored(material),
+            patch=np.ascontiguousarray(patch[order]),
+            low=np.ascontiguousarray(boxes[:, 0]),
+            high=np.ascontiguousarray(boxes[:, 1]),
+            link=links,
         ),
         [int(i) for i in order],
     )

@@ -56,7 +56,7 @@ class Optics:
 
     @classmethod
     def from_material(cls, material: Any) -> Optics:
-        """Return the single band of a `gonio.material.Material`; without a lobe alpha and n2 do not matter."""
+        """Return the single band of a `gonio.material.Material`; without a lobe its alpha is not used."""
         rho_d, rho_s, alpha, n2 = (
             float(np.asarray(getattr(material, name)).ravel()[0])
             for name in ("rho_d", "rho_s", "alpha", "n2")

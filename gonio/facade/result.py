@@ -19,7 +19,7 @@ from gonio.facade.geometry import Vector
 FloatArray = NDArray[np.float64]
 
 CONTRIBUTIONS = ("direct", "sky", "diffuse", "specular")
-"""Direct sun, direct view of the sky, reflected only diffusely, reflected by a lobe at least once: the total."""
+"""Direct sun, direct view of the sky, reflected only diffusely, reflected by a lobe at least once."""
 
 _POWERS = ("emitted_w", "created_w", "absorbed_w", "under_horizon_w", "escaped_w", "unfinished_w")
 
@@ -140,8 +140,9 @@ class Irradiance:
         e = self.energy
         if e.emitted_w > 0.0:
             lines.append(
-                f"photons: {e.emitted_w:.6g} W in + {e.created_w:.3g} W created = {e.absorbed_w:.6g} W absorbed "
-                f"({e.under_horizon_w:.3g} W of it below the horizon) + {e.escaped_w:.6g} W escaped "
+                f"photons: {e.emitted_w:.6g} W in + {e.created_w:.3g} W created = "
+                f"{e.absorbed_w:.6g} W absorbed ({e.under_horizon_w:.3g} W of it below the horizon) "
+                f"+ {e.escaped_w:.6g} W escaped "
                 f"+ {e.unfinished_w:.3g} W unfinished; balance {e.residual:.0e}"
             )
         return "\n".join([*lines, *self.notes])

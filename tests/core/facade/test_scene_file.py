@@ -91,7 +91,7 @@ def test_a_good_file_is_read_completely() -> None:
         ("dni_w_m2 = 800.0", "dni_w_m2 = nan", "irradiance.dni_w_m2"),
         ("elevation_deg = 40.0", "", "needs both azimuth_deg and elevation_deg"),
         ("elevation_deg = 40.0", "elevation_deg = 140.0", "sun.elevation_deg = 140.0"),
-        ("[irradiance]", '[sky]\nmodel = "perez"\n[irradiance]', 'not available yet; use model = "isotropic"'),
+        ("[irradiance]", '[sky]\nmodel = "perez"\n[irradiance]', 'not available yet; use model = "iso'),
         ("[irradiance]", '[sky]\nmodel = "foggy"\n[irradiance]', "sky.model = 'foggy'"),
         ("[irradiance]", '[reflection]\nenergy = "free"\n[irradiance]', "reflection.energy = 'free'"),
         ("[irradiance]", SITE + "[irradiance]", "the sun is given twice"),
