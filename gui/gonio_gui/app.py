@@ -18,6 +18,7 @@ from gonio.rig import load_rig
 if TYPE_CHECKING:
     from gonio_gui.window import MainWindow
 
+SWITCH_S = 0.001
 CLOSING_S = 10.0  # longest wait for the devices to be released when the application is ended from outside
 
 
@@ -90,6 +91,10 @@ def _run(rig: Any, plan: Plan, output: Path | None) -> int:
 
     from gonio_gui.window import MainWindow
 
+    # A drawing gives the interpreter up at every call of Qt and waits this long to get it back from the scan,
+    # and the scan at every byte to get it back from a drawing; with the usual 5 ms both become sluggish.
+    usual_s = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH_S)
     application = QApplication.instance() or QApplication(["gonio"])
     window = MainWindow(rig, plan, output)
     window.show()
@@ -97,6 +102,7 @@ def _run(rig: Any, plan: Plan, output: Path | None) -> int:
     try:
         code = int(application.exec())
     finally:
+        sys.setswitchinterval(usual_s)
         for number, handler in previous.items():
             signal.signal(number, handler)
         window.bench.close()  # without effect after an orderly close; a desktop session may end us otherwise

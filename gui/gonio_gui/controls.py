@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import math
 
 from gonio.cli.progress import readable_duration
@@ -70,6 +71,7 @@ class Controls(QWidget):
             button.clicked.connect(signal)
         for button in (self.start, self.pause, self.stop):
             button.setMinimumWidth(112)
+        self._shown: tuple[object, object, object] | None = None
         self.plan = QLabel()
         self.file = QLabel()
         for label in (self.plan, self.file):
@@ -107,18 +109,26 @@ class Controls(QWidget):
         self.pause.setText("Continue" if waiting else "Pause")
         self.pause.setEnabled(phase is Phase.RUNNING or waiting)
         self.stop.setEnabled(phase.busy and phase is not Phase.STOPPING)
-        plan = model.plan
-        self.plan.setText(
-            f"<b>{plan.title}</b>, {plan.n_positions} positions × {len(plan.wavelength_nm)} wavelengths, "
-            f"rig {model.rig.name}"
-        )
-        self.file.setText(f"into {model.path}")
-        self.file.setToolTip(str(model.path))
+        self._draw_plan(model)
         self.where.setText(_progress(model))
         self.time.setText(time_text(model))
         snapshot = model.snapshot
         fraction = snapshot.readings_done / max(snapshot.readings_total, 1) if snapshot else 0.0
-        self.bar.setValue(math.floor(1000 * fraction))
+        if math.floor(1000 * fraction) != self.bar.value():
+            self.bar.setValue(math.floor(1000 * fraction))
+
+    def _draw_plan(self, model: Model) -> None:
+        shown = (model.plan, model.rig, model.path)
+        if self._shown is not None and all(a is b for a, b in zip(shown, self._shown, strict=True)):
+            return
+        self._shown = shown
+        plan = model.plan
+        self.plan.setText(
+            f"<b>{html.escape(plan.title)}</b>, {plan.n_positions} positions × "
+            f"{len(plan.wavelength_nm)} wavelengths, rig {html.escape(model.rig.name)}"
+        )
+        self.file.setText(f"into {model.path}")
+        self.file.setToolTip(str(model.path))
 
 
 def _progress(model: Model) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from gonio.devices import FloatArray, Polarization
-from gonio.plan import Plan
+from gonio.plan import Plan, Position
 from gonio.rig import RigConfig
 from gonio.store import Scan
 from gonio.store.records import PositionRecord, ReferenceRecord
@@ -59,16 +59,16 @@ class LiveScan:
         self.plan = plan
         self.wavelength_nm = plan.wavelength_nm
         self.detector_index = rig.detector_for(plan.wavelength_nm)
-        positions = plan.positions()
-        n, m = len(positions), len(self.wavelength_nm)
+        self._positions = plan.positions()
+        n, m = len(self._positions), len(self.wavelength_nm)
         # rows are only read where `measured`: untouched pages of a large plan cost no memory
         self._r = np.empty((n, m))
         self._theta_i_deg = np.full(n, np.nan)
         self._theta_mes_deg = np.full(n, np.nan)
         self.measured: NDArray[np.bool_] = np.zeros(n, dtype=np.bool_)
         self.last: int | None = None
-        self.revision = 0  # grows with every change
-        self._rows: dict[SweepKey, NDArray[np.intp]] = _rows_by_sweep(plan)
+        self.revision: dict[str, int] = dict.fromkeys(plan.polarization, 0)  # grow with every change
+        self._rows: dict[SweepKey, NDArray[np.intp]] = _rows_by_sweep(self._positions)
         self._references: list[ReferenceRecord] = []
         self._reduction = Reduction([], self.detector_index)
 
@@ -133,7 +133,7 @@ class LiveScan:
         self._theta_i_deg[index] = theta_i_deg
         self._theta_mes_deg[index] = theta_mes_deg
         self.measured[index] = True
-        self.revision += 1
+        self.revision[self._positions[index].polarization] += 1
 
     # -- reading ----------------------------------------------------------------------------------------
 
@@ -156,15 +156,15 @@ class LiveScan:
             index=self.last,
             theta_i_deg=float(self._theta_i_deg[self.last]),
             theta_mes_deg=float(self._theta_mes_deg[self.last]),
-            polarization=self.plan.positions()[self.last].polarization,
+            polarization=self._positions[self.last].polarization,
             wavelength_nm=self.wavelength_nm,
             r=self._r[self.last],
         )
 
 
-def _rows_by_sweep(plan: Plan) -> dict[SweepKey, NDArray[np.intp]]:
+def _rows_by_sweep(positions: Sequence[Position]) -> dict[SweepKey, NDArray[np.intp]]:
     found: dict[SweepKey, list[int]] = {}
-    for position in plan.positions():
+    for position in positions:
         found.setdefault(SweepKey(position.theta_i_deg, position.polarization), []).append(position.index)
     return {key: np.array(rows, dtype=np.intp) for key, rows in found.items()}
 

@@ -21,7 +21,7 @@ class Plots(QWidget):
         super().__init__(parent)
         self._theme = LIGHT
         self._live: LiveScan | None = None
-        self._drawn: tuple[object, ...] = ()
+        self._drawn: dict[str, tuple[int, ...]] = {}
         self.polar = {name: PolarPlot(title) for name, title in NAMES.items()}
         self.spectrum = SpectrumPlot()
         self.slider = QSlider(Qt.Orientation.Horizontal)
@@ -65,7 +65,7 @@ class Plots(QWidget):
     def set_theme(self, theme: Theme) -> None:
         """Redraw in other colours."""
         self._theme = theme
-        self._drawn = ()
+        self._drawn.clear()
         for plot in self.polar.values():
             plot.set_theme(theme)
         self.spectrum.set_theme(theme)
@@ -74,7 +74,7 @@ class Plots(QWidget):
     def prepare(self, live: LiveScan | None) -> None:
         """Show another scan."""
         self._live = live
-        self._drawn = ()
+        self._drawn.clear()
         self.setEnabled(live is not None)
         if live is None:
             return
@@ -89,26 +89,34 @@ class Plots(QWidget):
         self._write_legend()
 
     def draw(self) -> None:
-        """Draw what has been measured since the last call."""
+        """Draw one plot that something new was measured for; the others follow with the next calls.
+
+        Each costs 10 ms and more with its painting, which all together would be felt as a jerk.
+        """
         live = self._live
         if live is None:
             return
-        state = (live, live.revision, self.column)
-        if state == self._drawn:
-            return
-        self._drawn = state
         numbers = {theta_i: number for number, theta_i in enumerate(live.incidences_deg)}
-        for name, plot in self.polar.items():
-            plot.draw(
+        for name, revision in live.revision.items():
+            if not self._is_new(name, (revision, self.column)):
+                continue
+            self.polar[name].draw(
                 [
                     Curve(numbers[key.theta_i_deg], key.theta_i_deg, *live.curve(key, self.column))
                     for key in live.sweeps
                     if key.polarization == name
                 ]
             )
+            return
         spectrum = live.last_spectrum()
-        if spectrum is not None:
+        if spectrum is not None and self._is_new("spectrum", tuple(live.revision.values())):
             self.spectrum.draw(spectrum, live.detector_change_nm)
+
+    def _is_new(self, what: str, state: tuple[int, ...]) -> bool:
+        """Whether something has changed since it was drawn; it is taken as drawn from now on."""
+        before = self._drawn.get(what)
+        self._drawn[what] = state
+        return before != state
 
     def _wavelength_moved(self, column: int) -> None:
         if self._live is None:

@@ -27,6 +27,7 @@ class SpectrumPlot(QWidget):
         for axis, label in (("bottom", "wavelength / nm"), ("left", "r / %")):
             # units stand in the label: pyqtgraph's own prefixes would print "knm"
             self._plot.getAxis(axis).enableAutoSIPrefix(False)
+            self._plot.getAxis(axis).setStyle(maxTickLevel=0)  # a grid of few lines: it is painted every time
             self._plot.setLabel(axis, label)
         self._plot.getAxis("left").setWidth(52)
         self._curve = pg.PlotDataItem(connect="finite")
