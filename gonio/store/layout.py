@@ -42,7 +42,7 @@ COLUMNS: dict[str, Column] = {
         "nm", "f8", "1", "relative standard uncertainty of r, common to one polarization (baseline)"
     ),
     "offset_uncertainty": Column(
-        "nm", "f8", "1", "standard uncertainty of r, common to one polarization (dark)"
+        "nm", "f8", "1", "standard uncertainty of r, common to all positions (dark)"
     ),
     # as measured
     "raw_signal": Column("nm", "f8", "V", "raw signal"),

@@ -16,7 +16,7 @@ random, `r_sd`
 gain, `gain_u`
     u(B) / (B - D), relative, common to the positions of one polarization.
 offset, `offset_u`
-    u(D) / (B - D), likewise.
+    u(D) / (B - D), common to all positions, since the dark is one for both polarizations.
 
 u(B) and u(D) hold the scatter of the reference readings and the doubt in the interpolation: the change
 between two references is taken as one realisation of a random walk, whose bridge has the variance delta^2

@@ -20,6 +20,7 @@ from gonio.errors import DeviceError, GonioError, MotionError, RefusedError, Sca
 from gonio.plan import Plan, estimate, parse_plan
 from gonio.rig import ApertureConfig
 from gonio.store import Scan
+from gonio.store.records import PositionRecord, ReferenceRecord
 
 
 def states(snapshots: list[Snapshot]) -> list[State]:
@@ -107,6 +108,18 @@ def test_time_left_is_nearly_the_estimate_at_first_and_falls_to_zero(
     total_s = running[-1].elapsed_s
     halfway = min(running, key=lambda s: abs(s.elapsed_s - 0.75 * total_s))
     assert halfway.left_s < 2.0 * (total_s - halfway.elapsed_s) + 0.2 * estimate(plan, rig.config)
+
+
+def test_whoever_watches_is_told_each_record_once_and_on_resume_those_before(
+    memory: ModuleType, plan: Plan, tmp_path: Path
+) -> None:
+    path = tmp_path / "scan.h5"
+    interrupted(memory, plan, path)
+    told: list[Any] = []
+    resume_scan(path, memory.rig(), on_record=told.append).run()
+    positions = [record.index for record in told if isinstance(record, PositionRecord)]
+    assert positions == list(range(10))
+    assert sum(isinstance(record, ReferenceRecord) for record in told) == 6
 
 
 # -- nothing is made before everything is checked
