@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from gonio.aperture import Aperture, ApertureName
 from gonio.fitting.covariance import CommonMode, random_and_common, without_common
@@ -133,7 +133,7 @@ def _findings(
     if common is not None:  # the scatter alone, without what positions share
         clean, taken = without_common(problem, basic, w, residual, common)
         scale = np.sum(w * clean**2, axis=0) / (dof - taken)
-    t = np.asarray(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, dof))
+    t = np.asarray(special.stdtrit(dof, 0.5 + 0.5 * CONFIDENCE))
     held = np.zeros((len(basic), 4), bool)
     held[:, 3] = single
     held[~lobe, 1:] = True

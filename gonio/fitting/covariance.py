@@ -18,10 +18,11 @@ _FLAT = 1e-9  # a parameter that moves no reading by more than this part of the 
 
 @dataclass(frozen=True, slots=True)
 class CommonMode:
-    """Standard uncertainties that all positions of one polarization share, (n, m) each.
+    """Standard uncertainties that positions share, (n, m) each.
 
-    An error g of the 100 % baseline scales every reading, ``g r``; an error o of the dark reading shifts
-    it.  They are no scatter: more positions do not average them out, and residuals do not show them.
+    An error g of the 100 % baseline of one polarization scales its readings, ``g r``; an error o of the dark,
+    which is read once for both, shifts all readings.  They are no scatter: more positions do not average them
+    out, and residuals do not show them.
     """
 
     gain_u: FloatArray  # relative
@@ -72,13 +73,9 @@ def without_common(
 
 def _modes(problem: Problem, basic: FloatArray, common: CommonMode, part: slice) -> list[FloatArray]:
     """Return the shift of every reading by one standard uncertainty of each common mode, (n, m) each."""
-    model = problem.model(basic)
-    return [
-        np.where(chosen[:, None], shift, 0.0)
-        for chosen in (problem.is_s, ~problem.is_s)
-        if np.any(chosen)
-        for shift in (common.gain_u[:, part] * model, common.offset_u[:, part])
-    ]
+    scaled = common.gain_u[:, part] * problem.model(basic)
+    gains = [np.where(x[:, None], scaled, 0.0) for x in (problem.is_s, ~problem.is_s) if np.any(x)]
+    return [*gains, common.offset_u[:, part]]
 
 
 def random_and_common(

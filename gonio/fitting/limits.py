@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from gonio.fitting.problem import Problem
 from gonio.fitting.solve import HIGH, LOW, Solution, refine
@@ -30,7 +30,7 @@ def lobe_is_seen(
     d = diffuse[:, None]
     rho = np.sum(w * d * y, axis=0) / np.sum(w * d * d, axis=0)
     diffuse_chi2 = np.sum(w * (y - d * rho) ** 2, axis=0)
-    needed = 3.0 * stats.f.ppf(1.0 - _NO_LOBE_P, 3, dof) * chi2 / dof
+    needed = 3.0 * special.fdtri(3.0, dof, 1.0 - _NO_LOBE_P) * chi2 / dof
     # rounding: a noiseless Lambertian surface leaves chi2 of the order of the last digit
     rounding = 1e-26 * np.sum(w * y * y, axis=0)
     return np.asarray(diffuse_chi2 - chi2 > needed + rounding)

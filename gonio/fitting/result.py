@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
+from scipy import special
 
 from gonio import fresnel
 from gonio.aperture import Aperture, ApertureName
@@ -190,7 +190,7 @@ class FitResult:
     def quantile(self) -> FloatArray:
         """Student's t for the two-sided 95 % interval, (m,)."""
         dof = np.where(self.dof > 0, self.dof, np.nan)
-        return np.asarray(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, dof))
+        return np.asarray(special.stdtrit(dof, 0.5 + 0.5 * CONFIDENCE))
 
     def table(
         self,

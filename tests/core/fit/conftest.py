@@ -1,4 +1,4 @@
-"""Fixtures of the fit tests; `simulate.py` beside this file makes the readings."""
+"""Fixtures of the fit tests; `simulated_readings.py` beside this file makes the readings."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gonio.aperture import Aperture
 
 sys.path.insert(0, str(Path(__file__).parent))  # tests are no package; the helper module is found beside them
 
-from simulate import FloatArray, Positions, paper_positions, plane_quadrature
+from simulated_readings import FloatArray, Positions, paper_positions, plane_quadrature
 
 
 @pytest.fixture(scope="session")

@@ -13,7 +13,7 @@ from gonio.aperture import Aperture
 from gonio.errors import GonioError, StoreError
 from gonio.fitting import FitResult, fit_readings, load_fit
 from gonio.material import Material
-from simulate import FloatArray, Positions, instrument_noise
+from simulated_readings import FloatArray, Positions, instrument_noise
 
 TRUTH = (0.72, 1.0, 90.0, 1.5)
 

@@ -10,7 +10,7 @@ from gonio.aperture import Aperture
 from gonio.brdf import PublishedLobe
 from gonio.fitting import fit_readings
 from scipy import stats
-from simulate import FloatArray, Positions, fresnel_textbook, instrument_noise
+from simulated_readings import FloatArray, Positions, fresnel_textbook, instrument_noise
 
 Readings = Callable[..., FloatArray]
 
@@ -78,14 +78,14 @@ def test_coverage_of_the_95_percent_intervals(
     gain: float,
     offset: float,
 ) -> None:
-    """600 simulated scans; baseline and dark errors are drawn once per polarization and scan."""
+    """600 simulated scans; a baseline error per polarization and a dark error are drawn for each."""
     m = 600
     rng = np.random.default_rng(20)
     r = exact_readings(*truth)
     y = r[:, None] + instrument_noise(r)[:, None] * rng.standard_normal((r.size, m))
     for which in ("s", "p"):
-        rows = positions.polarization == which
-        y[rows] = y[rows] * (1.0 + gain * rng.standard_normal(m)) + offset * rng.standard_normal(m)
+        y[positions.polarization == which] *= 1.0 + gain * rng.standard_normal(m)
+    y += offset * rng.standard_normal(m)  # one dark for both
     fit = fit_readings(
         positions.theta_i_deg, positions.theta_o_deg, positions.polarization, y,
         instrument=aperture, polarization=polarization, # type: ignore[arg-type]

@@ -10,7 +10,7 @@ from gonio.aperture import Aperture, ApertureName
 from gonio.brdf import PublishedLobe
 from gonio.fitting import FitResult, fit_readings
 from scipy.optimize import least_squares
-from simulate import FloatArray, Positions, fresnel_textbook, instrument_noise, plane_quadrature
+from simulated_readings import FloatArray, Positions, fresnel_textbook, instrument_noise, plane_quadrature
 
 Readings = Callable[..., FloatArray]
 
