@@ -63,26 +63,67 @@ def backward_paths(
         patch = unit // replicas
         start = owner[patch]
         key = key_of(seed, patch, unit % replicas)
-        n0 = row(g.normal, start)
         for i in range(window[2], window[3]):
             draws = mix(key ^ np.uint64(i) * MIX_B)
             counter = 0
             a = cell[patch, 0] + cell[patch, 2] * sobol(directions, i, 0, key)
             b = cell[patch, 1] + cell[patch, 3] * sobol(directions, i, 1, key)
-            p = on_surface(g, start, a, b)
-            if light.dni > 0.0:
-                s = sun_direction(light, sobol(directions, i, 4, key), sobol(directions, i, 5, key))
-                facing = dot(n0, s)
-                if facing > 0.0 and s[2] > 0.0:
-                    rays += 1
-                    if nearest(g, light.periodic, p, s, start, True)[0] < 0:
-                        out[unit, DIRECT] += light.dni * facing
-            d = cosine_direction(n0, sobol(directions, i, 2, key), sobol(directions, i, 3, key))
             k = start
+            p = on_surface(g, k, a, b)
+            n = row(g.normal, k)
+            d = n  # the direction the path arrived in; the patch has none
             weight = 1.0
             kind = SKY
             bounce = 0
             while True:
+                glossy = lobe and bounce > 0 and g.material[k, 1] > 0.0
+                mirror = mirrored(d, n)
+                cos_o = -dot(n, d)
+                counter += 6
+                if light.dni > 0.0:
+                    if bounce == 0:
+                        u, w = sobol(directions, i, 4, key), sobol(directions, i, 5, key)
+                    else:
+                        u, w = uniform(draws, counter), uniform(draws, counter + 1)
+                    s = sun_direction(light, u, w)
+                    facing = dot(n, s)
+                    if facing > 0.0 and s[2] > 0.0:
+                        rays += 1
+                        if nearest(g, light.periodic, p, s, k, True)[0] < 0:
+                            power = weight * light.dni * facing
+                            if bounce == 0:
+                                out[unit, DIRECT] += power
+                            else:
+                                k_d, k_s = coefficients(g, k, facing, light.conserving)
+                                out[unit, kind] += power * k_d
+                                if glossy:
+                                    dsf = k_s * lobe_density(dot(mirror, s), g.material[k, 2])
+                                    out[unit, SPECULAR] += power * math.pi * dsf / cos_o
+                if bounce == 0:
+                    u, w = sobol(directions, i, 2, key), sobol(directions, i, 3, key)
+                elif bounce == 1:
+                    u, w = sobol(directions, i, 6, key), sobol(directions, i, 7, key)
+                else:
+                    u, w = uniform(draws, counter + 2), uniform(draws, counter + 3)
+                if glossy and uniform(draws, counter + 4) < _LOBE_SHARE:
+                    d = lobe_direction(mirror[0], mirror[1], mirror[2], g.material[k, 2], u, w)
+                    facing = dot(n, d)
+                    if facing <= 0.0:
+                        break
+                    k_s = coefficients(g, k, facing, light.conserving)[1]
+                    weight *= k_s * facing / cos_o / _LOBE_SHARE
+                    kind = SPECULAR
+                else:
+                    if glossy:
+                        weight /= 1.0 - _LOBE_SHARE
+                    d = cosine_direction(n, u, w)
+                    k_d = 1.0 if bounce == 0 else coefficients(g, k, dot(n, d), light.conserving)[0]
+                    if bounce <= 2:  # the first reflections carry most of the light: weigh, do not gamble
+                        weight *= k_d
+                    elif uniform(draws, counter + 5) >= k_d:
+                        weight = 0.0
+                if weight == 0.0:
+                    break
                 rays += 1
                 hit, t, _, _ = nearest(g, light.periodic, p, d, k, False)
                 if hit < 0:
@@ -90,8 +131,7 @@ def backward_paths(
                         out[unit, kind] += weight * light.dhi
                     break
                 n = row(g.normal, hit)
-                cos_o = -dot(n, d)
-                if cos_o <= 0.0:
+                if dot(n, d) >= 0.0:
                     break  # the black side
                 bounce += 1
                 if bounce > MAX_BOUNCES:
@@ -99,46 +139,6 @@ def backward_paths(
                     break
                 k = hit
                 p = along(p, t, d)
-                alpha = g.material[k, 2]
-                mirror = mirrored(d, n)
                 if kind == SKY:
                     kind = DIFFUSE
-                glossy = lobe and g.material[k, 1] > 0.0
-                if light.dni > 0.0:
-                    counter += 2
-                    s = sun_direction(light, uniform(draws, counter), uniform(draws, counter + 1))
-                    facing = dot(n, s)
-                    if facing > 0.0 and s[2] > 0.0:
-                        rays += 1
-                        if nearest(g, light.periodic, p, s, k, True)[0] < 0:
-                            k_d, k_s = coefficients(g, k, facing, light.conserving)
-                            out[unit, kind] += weight * light.dni * facing * k_d
-                            if glossy:
-                                dsf = k_s * lobe_density(dot(mirror, s), alpha)
-                                out[unit, SPECULAR] += weight * light.dni * facing * math.pi * dsf / cos_o
-                if bounce == 1:
-                    u, w = sobol(directions, i, 6, key), sobol(directions, i, 7, key)
-                else:
-                    counter += 2
-                    u, w = uniform(draws, counter), uniform(draws, counter + 1)
-                counter += 2
-                if glossy:
-                    if uniform(draws, counter) < _LOBE_SHARE:
-                        d = lobe_direction(mirror[0], mirror[1], mirror[2], alpha, u, w)
-                        facing = dot(n, d)
-                        if facing <= 0.0:
-                            break
-                        k_s = coefficients(g, k, facing, light.conserving)[1]
-                        weight *= k_s * facing / cos_o / _LOBE_SHARE
-                        kind = SPECULAR
-                        continue
-                    weight /= 1.0 - _LOBE_SHARE
-                d = cosine_direction(n, u, w)
-                k_d = coefficients(g, k, dot(n, d), light.conserving)[0]
-                if bounce <= 2:  # the first reflections carry most of the light: weigh, do not gamble
-                    weight *= k_d
-                    if weight == 0.0:
-                        break
-                elif uniform(draws, counter + 1) >= k_d:
-                    break
     return rays
