@@ -318,7 +318,9 @@ class Runner:
         baseline = self._rig.config.baseline
         # a dark is taken there too: whatever light leaks past the shutter is then the same for both
         theta_i, theta_mes = self._move(baseline.theta_i_deg, baseline.theta_mes_deg)
-        reading = self._read("dark" if step.kind == "dark" else "direct", self.plan.references.averages)
+        reading = self._read(
+            "dark" if step.kind == "dark" else "direct", self.plan.references.averages_of(step.kind)
+        )
         return ReferenceRecord(
             kind=step.kind,
             when=step.when,

@@ -138,7 +138,6 @@ def durations(plan: Plan, rig: RigConfig) -> Durations:
     """
     wavelength_nm = plan.wavelength_nm
     pass_s = rig.spectrometer.reading_duration_s(wavelength_nm, plan.reading.averages)
-    reference_s = rig.spectrometer.reading_duration_s(wavelength_nm, plan.references.averages)
     positions = plan.positions()
     theta_i = np.array([p.theta_i_deg for p in positions])
     theta_mes = np.array([p.theta_mes_deg for p in positions])
@@ -149,8 +148,16 @@ def durations(plan: Plan, rig: RigConfig) -> Durations:
     position_s = pass_s + _motion_s(
         rig, np.concatenate([[before[0]], theta_i]), np.concatenate([[before[1]], theta_mes])
     )
-    start_s = np.full(len(start_references), reference_s)
-    end_s = np.full(len(end_references), reference_s)
+    start_s, end_s = (
+        np.array(
+            [
+                rig.spectrometer.reading_duration_s(wavelength_nm, plan.references.averages_of(kind))
+                for kind, _ in sequence
+            ],
+            dtype=np.float64,
+        )
+        for sequence in (start_references, end_references)
+    )
     if end_references:
         end_s[0] += _motion_s(
             rig, np.array([theta_i[-1], baseline[0]]), np.array([theta_mes[-1], baseline[1]])

@@ -152,7 +152,9 @@ class Reading(Strict):
 class References(Strict):
     """When the dark signal and the direct beam (100 %) are measured, and how often each reading is repeated.
 
-    With `averages` = 1 nothing is known of the noise, and no uncertainty can be stored beside `r`.
+    With `averages` = 1 nothing is known of the noise, and no uncertainty can be stored beside `r`.  The error of
+    the dark reading is common to all positions, and a white panel gives r = 1 %: a dark reading deserves more
+    averages than the strong direct beam.
     """
 
     dark: Annotated[tuple[When, ...], BeforeValidator(_a_list("'start' and 'end'", '["start", "end"]'))] = (
@@ -163,6 +165,11 @@ class References(Strict):
         tuple[When, ...], BeforeValidator(_a_list("'start' and 'end'", '["start", "end"]'))
     ] = ("start", "end")
     averages: Count = 4
+    dark_averages: Count | None = None  # like `averages` if not given
+
+    def averages_of(self, kind: Literal["dark", "baseline"]) -> int:
+        """Return how many readings are averaged for a dark or a baseline."""
+        return self.dark_averages or self.averages if kind == "dark" else self.averages
 
     @field_validator("dark", "baseline")
     @classmethod
