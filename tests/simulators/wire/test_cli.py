@@ -100,7 +100,7 @@ def changed(old: str, new: str) -> str:
             changed('address = "simulated"', 'address = "socket://127.0.0.1:99999"'),
             ["socket://127.0.0.1:99999"],
         ),
-        (changed("clock_speed = 1000.0", "clock_sped = 1000.0"), ["simulation.clock_sped", "clock_speed"]),
+        (changed("clock_speed = 4000.0", "clock_sped = 1000.0"), ["simulation.clock_sped", "clock_speed"]),
         (rig_text(stage="applied-motion", word_order="middle"), ["stage.word_order", "middle"]),
         ("name = [", ["not valid TOML"]),
     ],
