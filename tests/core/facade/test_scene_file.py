@@ -206,3 +206,17 @@ def test_the_example_street_is_valid_but_for_its_scan() -> None:
     assert float(right.mean_contributions["direct"].value) > 300.0  # opposite a lit facade,
     share = float(left.mean_contributions["specular"].value / left.mean.value)
     assert 0.08 < share < 0.25  # whose mirror reflection matters
+
+
+def test_band_of_a_measured_material_becomes_optics() -> None:
+    from gonio.material import Material
+
+    wavelength_nm = np.arange(300.0, 1501.0, 50.0)
+    measured = Material(
+        "HPL", wavelength_nm, *(np.full(wavelength_nm.size, x) for x in (0.72, 1.0, 300.0, 1.5))
+    )
+    optics = Optics.from_material(measured.band(380.0, 740.0))
+    assert (optics.rho_d, optics.rho_s, optics.n2) == pytest.approx((0.72, 1.0, 1.5), rel=1e-6)
+    assert optics.alpha == pytest.approx(300.0, rel=1e-3)
+    assert float(optics.k_s(8.0)) == pytest.approx(0.04, rel=1e-3)
+    assert Optics.from_material(Material.lambert(0.3)) == Optics(0.3)
