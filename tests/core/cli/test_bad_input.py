@@ -40,7 +40,7 @@ def edited(old: str, new: str, text: str = PLAN) -> str:
         (edited("theta_i_deg = 30.0", "theta_i_rad = 0.5"), ["theta_i_rad", "did you mean 'theta_i_deg'"]),
         (edited("60.0, 63.0", "12.0, 63.0"), ["theta_mes = 12 deg", "blind zone", "15"]),
         (edited("60.0, 63.0", "60.0, 200.0"), ["theta_mes = 200 deg", "180"]),
-        (edited("theta_i_deg = 30.0", "theta_i_deg = 120.0"), ["theta_i = 120 deg", "95"]),
+        (edited("theta_i_deg = 30.0", "theta_i_deg = 120.0"), ["theta_i_deg = 120.0", "90"]),
         (edited("stop_nm = 510.0", "stop_nm = 2500.0"), ["no detector"]),
         (edited("step_nm = 10.0", "step_nm = 0.0"), ["step_nm"]),
         (edited("start_nm = 500.0", 'start_nm = "500"'), ["start_nm"]),
