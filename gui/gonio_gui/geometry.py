@@ -132,9 +132,9 @@ class GeometryView(QWidget):
 
     def _frame(self) -> tuple[QPointF, float]:
         """Return the rotation axis in pixels and the drawing's radius."""
-        radius = max(min((self.width() - 120) / 2.0, (self.height() - 84.0) / 1.27), 40.0)
-        spare = self.height() - 84.0 - 1.27 * radius
-        return QPointF(self.width() / 2.0, 42.0 + radius + spare / 2.0), radius
+        radius = max(min((self.width() - 120) / 2.0, (self.height() - 100.0) / 1.27), 40.0)
+        spare = self.height() - 100.0 - 1.27 * radius
+        return QPointF(self.width() / 2.0, 58.0 + radius + spare / 2.0), radius
 
     def _at(self, theta_deg: float, distance: float) -> QPointF:
         centre, radius = self._frame()
@@ -192,6 +192,9 @@ class GeometryView(QWidget):
                 )
         painter.setPen(QColor(theme.faint))
         self._write(painter, QPointF(10.0, 14.0), "seen from above; scale: θₘₑₛ from the source", "left")
+        if self._plan is not None:
+            both = ": outer dots S, inner dots P" if len(self._plan.polarization) > 1 else ""
+            self._write(painter, QPointF(10.0, 31.0), f"one ring per incidence{both}", "left")
 
     def _draw_beam(self, painter: QPainter) -> None:
         theme = self._theme
@@ -259,11 +262,11 @@ class GeometryView(QWidget):
             )
             painter.restore()
         if math.isfinite(self._theta_i_deg):
-            normal = self._at(self._theta_i_deg, 0.40)
+            normal = self._at(self._theta_i_deg, 0.34)
             painter.setPen(QPen(QColor(theme.text), 1.2, Qt.PenStyle.DashLine))
             painter.drawLine(centre, normal)
             self._write(
-                painter, self._at(self._theta_i_deg, 0.40) + (normal - centre) * (12.0 / (0.4 * radius)), "n"
+                painter, self._at(self._theta_i_deg, 0.34) + (normal - centre) * (11.0 / (0.34 * radius)), "n"
             )
             painter.setPen(QPen(QColor(theme.text), 5.0, Qt.PenStyle.SolidLine, Qt.PenCapStyle.FlatCap))
             face = self._along(self._theta_i_deg) * (0.27 * radius)

@@ -21,7 +21,7 @@ from PySide6.QtWidgets import QVBoxLayout, QWidget
 from gonio_gui.theme import LIGHT, SYMBOLS, Theme
 
 RAYS_DEG = range(-75, 90, 15)
-LABELLED_DEG = (-90, -60, -30, 0, 30, 60, 90)
+LABELLED_DEG = (-60, -30, 0, 30, 60)
 LABEL_RADIUS = 1.08  # in units of the outer circle
 RINGS = 4
 _ARC = np.radians(np.linspace(-90.0, 90.0, 121))

@@ -104,10 +104,12 @@ class SpectrumPlot(QWidget):
     def draw(self, spectrum: Spectrum, changes_nm: Sequence[float]) -> None:
         """Show one position's spectrum."""
         self._curve.setData(*broken_at(spectrum.wavelength_nm, 100.0 * spectrum.r, changes_nm))
+        angles = (
+            f"θᵢ = {spectrum.theta_i_deg:.2f}°, θₘₑₛ = {spectrum.theta_mes_deg:.2f}°, "
+            f"θₒ = {spectrum.theta_mes_deg - spectrum.theta_i_deg:.2f}°"
+        ).replace("-", "−")
         self._caption.setText(
-            f"Spectrum at position {spectrum.index + 1}: θᵢ = {spectrum.theta_i_deg:.2f}°, "
-            f"θₘₑₛ = {spectrum.theta_mes_deg:.2f}°, "
-            f"θₒ = {spectrum.theta_mes_deg - spectrum.theta_i_deg:.2f}°, {spectrum.polarization.upper()}"
+            f"Spectrum at position {spectrum.index + 1}: {angles}, {spectrum.polarization.upper()}"
         )
         finite = 100.0 * spectrum.r[np.isfinite(spectrum.r)]
         if len(finite):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 
 os.environ["QT_QPA_PLATFORM"] = "offscreen"
 os.environ["PYQTGRAPH_QT_LIB"] = "PySide6"
@@ -67,9 +68,14 @@ def rig() -> RigConfig:
 @pytest.fixture
 def slow_rig() -> RigConfig:
     """The bench at 4 x, where moves take long enough to be interrupted."""
-    text = default_rig_text()
-    assert "clock_speed = 1000.0" in text
-    return parse_rig(text.replace("clock_speed = 1000.0", "clock_speed = 4.0"))
+    return at_speed(4.0)
+
+
+def at_speed(speed: float) -> RigConfig:
+    """The built-in rig with another clock."""
+    text, count = re.subn(r"(?m)^clock_speed = \S+", f"clock_speed = {speed}", default_rig_text())
+    assert count == 1
+    return parse_rig(text)
 
 
 @pytest.fixture(scope="session")

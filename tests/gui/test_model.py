@@ -13,6 +13,8 @@ from gonio_gui.bench_thread import AxesRead, Begun, Connected, Disconnected, Not
 from gonio_gui.controls import time_text
 from gonio_gui.model import Model, Phase
 
+from .conftest import at_speed
+
 
 @pytest.fixture
 def model(rig: RigConfig, tiny_plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Model:
@@ -72,6 +74,7 @@ def test_between_two_steps_the_display_keeps_the_last(model: Model) -> None:
 
 
 def test_time_is_told_in_the_users_seconds_and_the_benchs(model: Model) -> None:
+    model.rig = at_speed(1000.0)
     model.apply(snapshot())
     # the simulated bench runs at 1000 x: 5000 s and 90 000 s of its time are 5 s and 1 min 30 s here
     assert time_text(model) == "5.0 s elapsed   ·   about 1 min 30 s left (1 d 1 h of bench time)"

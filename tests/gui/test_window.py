@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import gc
+import os
+import signal
+import subprocess
+import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -168,7 +174,7 @@ def test_stop_motion_stops_a_move_half_way(
     qtbot: Any, open_window: Opener, slow_rig: RigConfig, tiny_plan: Plan, tmp_path: Path
 ) -> None:
     window = open_window(tiny_plan, tmp_path / "tiny.h5", slow_rig)
-    assert window.model.theta_i_deg == pytest.approx(0.0, abs=0.1)
+    qtbot.waitUntil(lambda: abs(window.model.theta_i_deg) < 0.1, timeout=SCAN_MS)
     click(qtbot, window.controls.start)
     wait_for(qtbot, window, Phase.RUNNING)
     # the sample turns from 0 to 90 deg for the first reference, more than a second at this speed
@@ -354,3 +360,71 @@ def test_wavelength_slider_redraws_the_polar_plots(
     assert "900 nm" in window.plots.wavelength.text()
     _, percent = window.plots.polar["s"].points(0)
     np.testing.assert_allclose(percent, 100.0 * scan.r[:4, 2], rtol=1e-9)
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from PySide6.QtCore import QTimer
+from PySide6.QtWidgets import QApplication
+from gonio.plan import load_plan
+from gonio.rig import load_rig
+from gonio_gui.model import Phase
+from gonio_gui.window import MainWindow
+
+application = QApplication([])
+window = MainWindow(load_rig(), load_plan(Path(sys.argv[1])), Path(sys.argv[2]))
+window.show()
+
+def watch():
+    if window.model.phase is Phase.READY:
+        window.start()
+    elif window.model.live is not None and window.model.live.measured.sum() >= 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+timer = QTimer()
+timer.timeout.connect(watch)
+timer.start(5)
+application.exec()
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="kill -9 is POSIX")
+def test_killing_the_process_loses_nothing(
+    qtbot: Any, open_window: Opener, running_bench: RigConfig, tiny_plan: Plan, tmp_path: Path
+) -> None:
+    plan_file, path = tmp_path / "plan.toml", tmp_path / "tiny.h5"
+    plan_file.write_text(tiny_plan.to_toml(), encoding="utf-8")
+    command = [sys.executable, "-c", KILLED, str(plan_file), str(path)]
+    died = subprocess.run(command, capture_output=True, text=True, timeout=SCAN_MS / 1000, check=False)
+    assert died.returncode == -signal.SIGKILL, died.stderr
+    window = open_window(tiny_plan, path, running_bench)
+    window.tick()
+    assert window.controls.start.text() == "Resume scan"
+    run_to_end(qtbot, window)
+    assert_complete(path, tiny_plan)
+
+
+def test_garbage_is_collected_in_the_gui_thread_alone(
+    qtbot: Any, open_window: Opener, running_bench: RigConfig, tiny_plan: Plan, tmp_path: Path
+) -> None:
+    threads: set[threading.Thread] = set()
+
+    def noted(phase: str, _info: object) -> None:
+        if phase == "start":
+            threads.add(threading.current_thread())
+
+    gc.enable()
+    window = open_window(tiny_plan, tmp_path / "tiny.h5", running_bench)
+    gc.callbacks.append(noted)
+    try:
+        run_to_end(qtbot, window)
+        # the bench's thread has made garbage; the timer of the GUI thread takes it
+        qtbot.waitUntil(lambda: bool(threads), timeout=SCAN_MS)
+    finally:
+        gc.callbacks.remove(noted)
+    assert threads == {threading.main_thread()}
+    assert not gc.isenabled()
+    window.shut_down()
+    wait_for(qtbot, window, Phase.CLOSED)
+    qtbot.waitUntil(gc.isenabled)
