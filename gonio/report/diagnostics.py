@@ -20,7 +20,7 @@ FloatArray = NDArray[np.float64]
 
 POLARIZATION_COLOURS = {"s": style.BLUE, "p": style.VERMILLION, "any": style.BLACK}
 REACH = 4.0  # of the colour scale, standard deviations
-DASHES: tuple[object, ...] = ("-", (0, (4, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))
+DASHES: tuple[style.Dashes, ...] = ("-", (0, (4, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))
 
 
 def draw_residuals(content: Content, model: Model) -> style.Drawing:
@@ -57,7 +57,7 @@ def draw_residuals(content: Content, model: Model) -> style.Drawing:
     if mesh is not None:
         bar = figure.colorbar(mesh, ax=list(panels), extend="both", pad=0.015, aspect=32)
         bar.set_label("(data − fit) / standard deviation / 1")
-        bar.outline.set_visible(False)  # type: ignore[operator]
+        bar.outline.set_visible(False)
     known = np.abs(np.concatenate([np.ravel(m[1]) for m in maps])) if maps else np.empty(0)
     known = known[np.isfinite(known)]
     shares = (

@@ -136,7 +136,11 @@ def draw_index(content: Content, fit: FitResult) -> style.Drawing:
     axes = figure.add_subplot()
     alone = [content.fit_of(p) for p in ("s", "p")]
     curves = [fit, *(f for f in alone if f is not None and f is not fit)]
-    looks = {"joint": (style.BLUE, "-"), "s": (style.VERMILLION, "-."), "p": (style.GREEN, (0, (3, 1)))}
+    looks: dict[str, tuple[str, style.Dashes]] = {
+        "joint": (style.BLUE, "-"),
+        "s": (style.VERMILLION, "-."),
+        "p": (style.GREEN, (0, (3, 1))),
+    }
     shown: list[FloatArray] = []
     bands: list[FloatArray] = []
     for one in curves:

@@ -23,6 +23,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+Dashes = str | tuple[float, tuple[float, ...]]
+"""A line style of matplotlib: a name such as ``-`` or ``--``, or (offset, on-off lengths)."""
 
 BLACK = "#1a1a1a"
 GREY = "#8c8c8c"
@@ -40,7 +42,7 @@ MARKERS = ("o", "s", "^", "D", "v", "P")
 PNG_DPI = 160
 SPARSE = 40  # so few wavelengths are marked, since the line between them is no measurement
 
-_RC: dict[str, Any] = {
+_RC: Any = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],  # ships with matplotlib: the same page on every machine
     "font.size": 9.0,
@@ -128,6 +130,9 @@ def place(
         wspace=gap_x_in / panel_x,
         hspace=gap_y_in / panel_y,
     )
+    for axes in figure.axes:
+        if axes.get_ylabel():
+            axes.yaxis.set_label_coords(-0.8 * left_in / panel_x, 0.5)  # one column, however wide the numbers
 
 
 def freeze(figure: Figure) -> Figure:
@@ -152,7 +157,7 @@ def svg_bytes(figure: Figure) -> bytes:
     """Return the figure as SVG with the text as outlines; images inside it at 160 dots per inch."""
     freeze(figure)
     buffer = io.BytesIO()
-    canvas = FigureCanvasSVG(figure)  # type: ignore[no-untyped-call]
+    canvas = FigureCanvasSVG(figure)
     canvas.print_svg(buffer, metadata={"Date": None, "Creator": None})  # type: ignore[no-untyped-call]
     return buffer.getvalue()
 
@@ -213,7 +218,7 @@ def draw_spectrum(
     changes_nm: Sequence[float] = (),
     colour: str = BLACK,
     label: str = "",
-    dashes: str = "-",
+    dashes: Dashes = "-",
     marks: str = "",
     width: float = 1.4,
     band_alpha: float = 0.22,
