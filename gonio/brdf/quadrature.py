@@ -107,7 +107,7 @@ def _band(
     nearest = np.clip(delta, low, high)
     # cos(x) = cos(x0) exp(-40/alpha) ends the interval; versines keep the digits for large alpha
     versine = 2.0 * np.sin(0.5 * (nearest - delta)) ** 2
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):
         fall = -np.expm1(-_NEGLIGIBLE / alpha)
     reach = 2.0 * np.arcsin(np.sqrt(np.minimum(0.5 * (versine + (1.0 - versine) * fall), 1.0)))
     low, high = np.maximum(low, delta - reach), np.minimum(high, delta + reach)

@@ -133,7 +133,7 @@ def _findings(
     if common is not None:  # the scatter alone, without what positions share
         clean, taken = without_common(problem, basic, w, residual, common)
         scale = np.sum(w * clean**2, axis=0) / (dof - taken)
-    t = np.asarray(special.stdtrit(dof, 0.5 + 0.5 * CONFIDENCE))
+    t = np.asarray(special.stdtrit(dof, 0.5 + 0.5 * CONFIDENCE), np.float64)
     held = np.zeros((len(basic), 4), bool)
     held[:, 3] = single
     held[~lobe, 1:] = True
