@@ -69,10 +69,10 @@ def _scene_text(irradiance: Irradiance) -> str:
     reached = "reached" if irradiance.converged else "not reached"
     title = f"{irradiance.title}. " if irradiance.title else ""
     return (
-        f"{title}{irradiance.rays:.3g} rays, seed {irradiance.seed}: the patches have a standard error of "
-        f"{100 * irradiance.relative_error:.2g} % of their value (root mean square; "
-        f"{100 * irradiance.rel_tol:g} % was asked for and {reached}). The standard errors are the Monte "
-        "Carlo's alone; the uncertainty of the materials and of sun and sky is not in them."
+        f"{title}{irradiance.rays:.3g} rays, seed {irradiance.seed}: the standard errors of the patches are "
+        f"{100 * irradiance.relative_error:.2g} % of the mean irradiance (root mean square, worst receiver; "
+        f"{100 * irradiance.rel_tol:g} % was asked for and {reached}). They are the Monte Carlo's alone; the "
+        "uncertainty of the materials and of sun and sky is not in them."
     )
 
 
@@ -108,6 +108,9 @@ def _provenance(irradiance: Irradiance, path: Path) -> list[tuple[str, str | Mar
         ("File", file_facts(path)),
         ("Rays", f"{irradiance.rays:.4g}"),
         ("Seed", str(irradiance.seed)),
-        ("Tolerance asked", f"{100 * irradiance.rel_tol:g} %, relative standard error of the patches"),
+        (
+            "Tolerance asked",
+            f"{100 * irradiance.rel_tol:g} %, standard error of the patches over the mean irradiance",
+        ),
         ("Computing time", f"{irradiance.duration_s:.2f} s"),
     ]

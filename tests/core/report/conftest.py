@@ -271,6 +271,19 @@ def build_references(scan, drift=0.004):
 
 
 @pytest.fixture(scope="session")
+def model_r():
+    """Return what makes noiseless readings of a plan, (n, m)."""
+
+    def readings(plan):
+        at = plan.positions()
+        theta_i = np.array([p.theta_i_deg for p in at])
+        theta_o = np.array([p.theta_mes_deg for p in at]) - theta_i
+        return model(np.array(truth(plan.wavelength_nm)).T, theta_i, theta_o, [p.polarization for p in at])
+
+    return readings
+
+
+@pytest.fixture(scope="session")
 def make_scan():
     return build_scan
 
