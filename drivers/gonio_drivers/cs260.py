@@ -48,6 +48,9 @@ class CS260Config(Strict):
     slit_um: Positive | None = None  # entrance and exit slit; left as they are if not given
     tolerance_nm: Positive = 0.1
     baudrate: Count = 9600
+    # True: WAVE? goes out right behind GOWAVE, which saves a round trip per wavelength.  The instrument must then
+    # buffer a statement while it carries out another; its manual does not promise that.
+    pipelined: bool = False
     # how long things take, for estimates and deadlines
     drive_nm_s: Positive = 175.0
     grating_change_s: NotNegative = 5.0
@@ -172,12 +175,14 @@ class CS260:
 
     def query(self, question: str, *, timeout_s: float | None = None) -> str:
         """Ask and return the answer; repeated once if the reply fails."""
-        return self._line.query(lambda: self._exchange(question, timeout_s))
+        return self._line.query(lambda: self._exchange(question, timeout_s=timeout_s))
 
     def _go(self, statement: str, timeout_s: float) -> float:
         """Both statements are harmless to repeat, so a failed reply to either repeats both."""
+        if self._config.pipelined:
+            return self._number(self._exchange(statement, "WAVE?", timeout_s=timeout_s))
         self._exchange(statement)
-        return self._number(self._exchange("WAVE?", timeout_s))
+        return self._number(self._exchange("WAVE?", timeout_s=timeout_s))
 
     def _set(self, what: str, value: str, *, duration_s: float, always: bool = False) -> bool:
         """Set something unless it stands there already, verify it, and return whether it was a change."""
@@ -197,26 +202,27 @@ class CS260:
 
     def _set_and_ask(self, statement: str, question: str, timeout_s: float) -> str:
         self._exchange(statement)
-        return _first(self._exchange(question, timeout_s))
+        return _first(self._exchange(question, timeout_s=timeout_s))
 
     def _timeout_s(self, duration_s: float) -> float:
         """Real seconds for a reply that waits for a motion of `duration_s` instrument seconds."""
         return _REAL_REPLY_S + _SLACK * duration_s / self._clock_speed
 
-    def _exchange(self, statement: str, timeout_s: float | None = None) -> str:
-        """Send a statement, take its echo, and return the answer if it is a question."""
+    def _exchange(self, *statements: str, timeout_s: float | None = None) -> str:
+        """Send statements, take their echoes, and return the answer if the last is a question."""
         with self._line.transaction(self._prove):
-            return self._ask(statement, timeout_s)
+            return self._ask(*statements, timeout_s=timeout_s)
 
-    def _ask(self, statement: str, timeout_s: float | None = None) -> str:
+    def _ask(self, *statements: str, timeout_s: float | None = None) -> str:
         line = self._line
-        expected = statement.encode("ascii")
-        line.send(expected + b"\r\n")
+        sent = [statement.encode("ascii") for statement in statements]
+        line.send(b"".join(expected + b"\r\n" for expected in sent))
         deadline_s = line.deadline_s(timeout_s)
-        self._skip_until(lambda text: text == expected, deadline_s)
+        for expected in sent:
+            self._skip_until(expected.__eq__, deadline_s)
         answer = b""
-        if statement.endswith("?"):
-            answer = self._skip_until(lambda text: text not in (b"", expected), deadline_s)
+        if sent[-1].endswith(b"?"):
+            answer = self._skip_until(lambda text: text not in (b"", sent[-1]), deadline_s)
         line.answered()
         return answer.decode("ascii", "replace")
 

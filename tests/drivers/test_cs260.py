@@ -49,6 +49,20 @@ def test_the_wavelength_read_back_counts(mono):
         monochromator.go_to(500.0)
 
 
+def test_pipelined_drive_is_one_round_trip(mono):
+    config = CONFIG.model_copy(update={"pipelined": True})
+    both = (b"GOWAVE 623.500\r\nWAVE?\r\n", b"GOWAVE 623.500\r\nWAVE?\r\n623.500\r\n")
+    assert mono(both, config=config).go_to(623.5) == 623.5
+
+
+def test_pipelined_drive_notices_a_lost_question(mono):
+    config = CONFIG.model_copy(update={"pipelined": True})
+    sent = b"GOWAVE 623.500\r\nWAVE?\r\n"
+    lost = (sent, b"GOWAVE 623.500\r\n")  # the instrument was deaf while it drove
+    with pytest.raises(ReplyError):
+        mono(lost, says("STB?", "00"), lost, config=config).go_to(623.5)
+
+
 def test_grating_and_filter_change_only_at_their_borders(mono):
     monochromator = mono(
         says("GRAT?", "1,1200,VIS"),
