@@ -48,16 +48,25 @@ def _columns(path: Path, group: str) -> dict[str, FloatArray] | None:
 
 
 def _compare(scan: Scan, polarization: PolarizationChoice) -> None:
-    print("aperture model        rho_d     rho_s     alpha       n2    k_d(8)    k_s(8)   residual   time")
+    print("aperture model       rho_d     rho_s     alpha        n2    k_d(8)    k_s(8)    residual      time")
     for aperture in COMPARED:
         start = time.perf_counter()
         result = fit_scan(scan, aperture=aperture, polarization=polarization)
         duration_s = time.perf_counter() - start
         k = result.hemispherical(8.0)
         medians = [*np.nanmedian(result.value, axis=0), np.nanmedian(k.k_d.value), np.nanmedian(k.k_s.value)]
-        rms = np.sqrt(np.nanmedian(result.chi2 / result.dof))
-        print(f"{aperture:<16}" + "".join(f"{value:>10.4g}" for value in medians) + f"{rms:>11.3g}{duration_s:>7.2f} s")
-    print("Medians over the wavelengths; residual is the root of chi2 per degree of freedom.\n")
+        rms = float(np.nanmedian(result.rms))
+        print(
+            f"{aperture:<16}" + "".join(f"{value:>10.4g}" for value in medians) + f"{rms:>12.2e}{duration_s:>8.2f} s"
+        )
+    truth = _columns(scan.path, "simulated_truth")
+    if truth is not None:
+        known = [
+            np.median(np.interp(scan.wavelength_nm, truth["wavelength_nm"], truth[name]))
+            for name in ("rho_d", "rho_s", "alpha", "n2", "k_d", "k_s")
+        ]
+        print(f"{'true':<16}" + "".join(f"{value:>10.4g}" for value in known))
+    print("Medians over the wavelengths; the residual is the root mean square of data minus fit, in r.\n")
 
 
 def facade(scene_file: Path, output: Path, *, rel_tol: float, seed: int, threads: int | None) -> int:

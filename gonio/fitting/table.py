@@ -48,6 +48,26 @@ def band_table(
     """
     columns = _columns(fit)
     rows = _rows(fit, BANDS if bands is None else bands)
+    lines: list[str] = []
+    for names in (fit.parameters, ("k_d", "k_s", "k_g")):  # side by side they are wider than a terminal
+        of_sphere = sphere if "k_g" in names else None
+        lines += [*_block(fit, {name: columns[name] for name in names}, rows, truth, of_sphere), ""]
+    lines.append(
+        f"mean ± half its 95 % interval; k at {THETA_I_DEG:g} deg, S/P mean, lobe above the horizon; "
+        f"aperture '{fit.aperture}', polarization '{fit.polarization}'"
+    )
+    lines.extend(_remarks(fit))
+    return "\n".join(lines)
+
+
+def _block(
+    fit: FitResult,
+    columns: Mapping[str, tuple[FloatArray, FloatArray]],
+    rows: Sequence[tuple[str, NDArray[np.bool_]]],
+    truth: Mapping[str, FloatArray] | None,
+    sphere: Mapping[str, FloatArray] | None,
+) -> list[str]:
+    """Return the lines of the table of some columns."""
     width = {name: max(len(name), _DIGITS[name] + 5) + 2 + _DIGITS[name] + 4 for name in columns}
     head = f"{'nm':<11}" + "".join(f"{name:>{width[name]}}" for name in columns)
     if sphere is not None:
@@ -60,7 +80,7 @@ def band_table(
         if sphere is not None:
             line += _sphere_entry(fit, columns["k_g"], sphere, use)
         lines.append(line)
-        if truth is not None:
+        if truth is not None and not truth.keys().isdisjoint(columns):
             line = f"{'  true':<11}"
             for name in columns:
                 known = _interpolated(truth, name, fit.wavelength_nm[use])
@@ -69,12 +89,7 @@ def band_table(
                 )
                 line += f"{text:>{width[name]}}"
             lines.append(line.rstrip())
-    lines.append(
-        f"mean ± half its 95 % interval; k at {THETA_I_DEG:g} deg, S/P mean, lobe above the horizon; "
-        f"aperture '{fit.aperture}', polarization '{fit.polarization}'"
-    )
-    lines.extend(_remarks(fit))
-    return "\n".join(lines)
+    return lines
 
 
 def _columns(fit: FitResult) -> dict[str, tuple[FloatArray, FloatArray]]:
