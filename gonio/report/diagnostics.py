@@ -27,7 +27,7 @@ def draw_residuals(content: Content, model: Model) -> style.Drawing:
     """Draw (data - fit) / standard deviation as a map of position over wavelength by polarization."""
     scan = content.scan
     present = [p for p in choose.polarizations(scan) if model.fit.polarization in ("joint", p)]
-    figure = style.new_figure(9.8 if len(present) > 1 else 6.0, 4.6, automatic=True)
+    figure = style.new_figure(9.8 if len(present) > 1 else 6.0, 4.6)
     panels = figure.subplots(1, len(present), squeeze=False)[0]
     angles = choose.incidences(scan)
     maps = [normalised_residual(content, model, p, angles) for p in present]
@@ -54,10 +54,9 @@ def draw_residuals(content: Content, model: Model) -> style.Drawing:
         _mark_incidences(axes, scan.theta_i_deg[rows], scan.theta_o_deg[rows])
         style.mark_changes(axes, scan.detector_change_nm)
     panels[0].set_ylabel("incidence, within it θₒ upwards / °")
+    style.place(figure, right_in=1.0, gap_x_in=0.45)
     if mesh is not None:
-        bar = figure.colorbar(mesh, ax=list(panels), extend="both", pad=0.015, aspect=32)
-        bar.set_label("(data − fit) / standard deviation / 1")
-        bar.outline.set_visible(False)
+        style.colour_bar(figure, mesh, panels[-1], "(data − fit) / standard deviation / 1", extend="both")
     known = np.abs(np.concatenate([np.ravel(m[1]) for m in maps])) if maps else np.empty(0)
     known = known[np.isfinite(known)]
     shares = (

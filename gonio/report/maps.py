@@ -40,8 +40,9 @@ def draw_maps(receivers: Sequence[Receiver], *, first: int = 0) -> style.Drawing
     aspects = [_aspect(r) for r in shown]
     map_width_in = 3.9
     heights = [float(np.clip(map_width_in * a, 0.7, 3.6)) for a in aspects]
-    figure = style.new_figure(9.8, sum(heights) + 0.72 * len(shown) + 0.2, automatic=True)
+    figure = style.new_figure(9.8, sum(heights) + 0.78 * len(shown))
     panels = figure.subplots(len(shown), 2, squeeze=False, gridspec_kw={"height_ratios": heights})
+    style.place(figure, left_in=0.55, right_in=0.85, gap_x_in=1.25, gap_y_in=0.78)
     columns = (
         ("total irradiance", "viridis", [r.value for r in receivers]),
         ("specular contribution", "magma", [r.contributions["specular"].value for r in receivers]),
@@ -57,9 +58,7 @@ def draw_maps(receivers: Sequence[Receiver], *, first: int = 0) -> style.Drawing
                 axes.set_ylabel("height / m" if _upright(receiver) else "across / m")
             axes.set_xlabel("along / m")
         if mesh is not None:
-            bar = figure.colorbar(mesh, ax=list(panels[:, column]), pad=0.02, aspect=28, shrink=0.95)
-            bar.set_label(f"{heading} / (W/m²)")
-            bar.outline.set_visible(False)
+            style.colour_bar(figure, mesh, panels[0, column], f"{heading} / (W/m²)")
     worst = max((_relative_error(r) for r in shown), default=float("nan"))
     part = f"_{first // ROWS_PER_FIGURE + 1}" if len(receivers) > ROWS_PER_FIGURE else ""
     return style.Drawing(
@@ -79,7 +78,7 @@ def draw_maps(receivers: Sequence[Receiver], *, first: int = 0) -> style.Drawing
 def draw_contributions(receivers: Sequence[Receiver]) -> style.Drawing:
     """Draw the mean of each contribution on each receiver as bars with their standard errors."""
     thickness = 0.19
-    figure = style.new_figure(8.6, 1.3 + 1.05 * len(receivers), automatic=True)
+    figure = style.new_figure(8.6, 1.3 + 1.05 * len(receivers))
     axes = figure.add_subplot()
     axes.grid(visible=False, axis="y")
     largest = 0.0
@@ -110,15 +109,15 @@ def draw_contributions(receivers: Sequence[Receiver]) -> style.Drawing:
                 va="center",
                 fontsize=7.5,
             )
-    axes.set_yticks(
-        np.arange(len(receivers)),
-        [style.plain(f"{r.name}\ntotal {estimate_text(r.mean)}") for r in receivers],
-    )
+    names = [f"{r.name}\ntotal {estimate_text(r.mean)}" for r in receivers]
+    axes.set_yticks(np.arange(len(receivers)), [style.plain(name) for name in names])
     axes.tick_params(axis="y", length=0)
     axes.invert_yaxis()
     axes.set_xlim(0.0, 1.18 * largest if largest > 0 else 1.0)
     axes.set_xlabel("mean irradiance on the receiver / (W/m²)")
     style.legend_above(axes)
+    longest = max(len(line) for name in names for line in name.split("\n"))
+    style.place(figure, left_in=min(0.2 + 0.075 * longest, 4.0))
     return style.Drawing(
         name="facade_contributions",
         title="What each kind of light contributes",

@@ -19,6 +19,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -95,13 +96,12 @@ class Drawing:
     figure: Figure
 
 
-def new_figure(width_in: float, height_in: float, *, automatic: bool = False) -> Figure:
-    """Return an empty figure on an Agg canvas; lay it out with `place`, or let matplotlib do it.
+def new_figure(width_in: float, height_in: float) -> Figure:
+    """Return an empty figure on an Agg canvas; `place` lays it out.
 
-    Automatic layout finds room for anything, but takes as long as drawing; it is for colour bars and for
-    labels whose length comes from the file.
+    Matplotlib's own layouts would find room for anything, but take as long as drawing.
     """
-    figure = Figure(figsize=(width_in, height_in), dpi=PNG_DPI, layout="constrained" if automatic else None)
+    figure = Figure(figsize=(width_in, height_in), dpi=PNG_DPI)
     FigureCanvasAgg(figure)
     return figure
 
@@ -132,30 +132,34 @@ def place(
     )
     for axes in figure.axes:
         if axes.get_ylabel():
-            axes.yaxis.set_label_coords(-0.8 * left_in / panel_x, 0.5)  # one column, however wide the numbers
+            axes.yaxis.set_label_coords(
+                -0.74 * left_in / panel_x, 0.5
+            )  # one column, however wide the numbers
 
 
-def freeze(figure: Figure) -> Figure:
-    """Lay the figure out once and keep the result: layout costs more than a drawing, and two follow."""
-    engine = figure.get_layout_engine()
-    if engine is not None:
-        engine.execute(figure)
-        figure.set_layout_engine("none")
-    return figure
+def colour_bar(
+    figure: Figure, mesh: ScalarMappable, beside: Axes, label: str, *, extend: str = "neither"
+) -> None:
+    """Add a colour bar right of a column of panels, as high as all of them; needs 0.85 inches there."""
+    width = figure.get_figwidth()
+    right = beside.get_position(original=True).x1
+    low, high = figure.subplotpars.bottom, figure.subplotpars.top
+    axes = figure.add_axes((right + 0.12 / width, low, 0.17 / width, high - low))
+    bar = figure.colorbar(mesh, cax=axes, extend=extend)
+    bar.set_label(label)
+    bar.outline.set_visible(False)
 
 
 def png_bytes(figure: Figure) -> bytes:
     """Return the figure as PNG at 160 dots per inch."""
-    freeze(figure)
     buffer = io.BytesIO()
     # the canvas itself, since `savefig` would draw everything once more to find a layout
-    FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})  # type: ignore[no-untyped-call]
+    FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None}, pil_kwargs={"compress_level": 3})  # type: ignore[no-untyped-call]
     return buffer.getvalue()
 
 
 def svg_bytes(figure: Figure) -> bytes:
     """Return the figure as SVG with the text as outlines; images inside it at 160 dots per inch."""
-    freeze(figure)
     buffer = io.BytesIO()
     canvas = FigureCanvasSVG(figure)
     canvas.print_svg(buffer, metadata={"Date": None, "Creator": None})  # type: ignore[no-untyped-call]

@@ -112,8 +112,8 @@ def test_the_page_needs_no_network_and_no_other_file(whole):
 def test_every_figure_is_there_as_png_and_svg_and_nothing_else(whole):
     _, folder = whole
     names = {
-        "polar_550nm", "polar_1200nm", "fit_550nm", "fit_1200nm", "coefficients", "coefficients_alone", "index",
-        "parameters", "residuals", "references",
+        "polar_550nm", "polar_1200nm", "fit_550nm", "fit_1200nm", "coefficients", "coefficients_alone",
+        "index", "parameters", "residuals", "references",
     }  # fmt: skip
     files = {p.name for p in (folder / "figures").iterdir()}
     assert files == {f"{n}.{kind}" for n in names for kind in ("png", "svg")}
