@@ -103,8 +103,9 @@ class Controls(QWidget):
     def draw(self, model: Model) -> None:
         """Show what can be done and how far the scan is."""
         phase = model.phase
-        self.start.setText("Resume scan" if model.resumable and not phase.busy else "Start scan")
-        self.start.setEnabled(phase is Phase.READY and (model.resumable or not model.refusals))
+        resumable = not phase.busy and model.resumable
+        self.start.setText("Resume scan" if resumable else "Start scan")
+        self.start.setEnabled(phase is Phase.READY and (resumable or not model.refusals))
         waiting = phase in {Phase.PAUSING, Phase.PAUSED}
         self.pause.setText("Continue" if waiting else "Pause")
         self.pause.setEnabled(phase is Phase.RUNNING or waiting)

@@ -184,12 +184,11 @@ class GeometryView(QWidget):
             painter.setPen(QPen(QColor(theme.grid), 1))
             painter.drawLine(self._at(theta, 1.0), self._at(theta, 1.025))
             if theta:
+                out = (self._at(theta, 1.0) - centre) * (13.0 / radius)
+                # below the line at 180 deg, where the detector stands for every reference
+                label = self._at(theta, 1.0) + (QPointF(4.0, 19.0) if theta == 180 else out)
                 painter.setPen(QColor(theme.faint))
-                self._write(
-                    painter,
-                    self._at(theta, 1.0) + (self._at(theta, 1.0) - centre) * (13.0 / radius),
-                    f"{theta}°",
-                )
+                self._write(painter, label, f"{theta}°")
         painter.setPen(QColor(theme.faint))
         self._write(painter, QPointF(10.0, 14.0), "seen from above; scale: θₘₑₛ from the source", "left")
         if self._plan is not None:

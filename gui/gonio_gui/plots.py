@@ -73,6 +73,9 @@ class Plots(QWidget):
 
     def prepare(self, live: LiveScan | None) -> None:
         """Show another scan."""
+        wanted_nm = NANOMETRES_OF_INTEREST
+        if self._live is not None:
+            wanted_nm = float(self._live.wavelength_nm[self.column])  # what the user looks at stays
         self._live = live
         self._drawn.clear()
         self.setEnabled(live is not None)
@@ -83,7 +86,7 @@ class Plots(QWidget):
             plot.setVisible(name in present)
             plot.prepare(live.incidences_deg)
         self.slider.setRange(0, len(live.wavelength_nm) - 1)
-        self.slider.setValue(live.column_near(NANOMETRES_OF_INTEREST))
+        self.slider.setValue(live.column_near(wanted_nm))
         self.spectrum.prepare(live.wavelength_nm.tolist(), live.detector_change_nm)
         self._wavelength_moved(self.slider.value())
         self._write_legend()

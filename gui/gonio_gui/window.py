@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from gonio.errors import GonioError
@@ -63,7 +64,7 @@ class MainWindow(QMainWindow):
         self._shown_banner: Banner | None = None
         self._asking = False
         self._closing = False
-        self._prepared_live: object = None
+        self._prepared: tuple[object, object, object] | None = None
         self._lay_out()
         self._make_menus()
         self._apply_theme()
@@ -134,11 +135,11 @@ class MainWindow(QMainWindow):
         scan.addAction(self._action("Stop &motion\tEsc", "", self.stop_motion))
         help_menu.addAction(self._action("&Keyboard shortcuts", "F1", self._show_shortcuts))
 
-    def _action(self, text: str, shortcut: str, slot: object) -> QAction:
+    def _action(self, text: str, shortcut: str, slot: Callable[[], object]) -> QAction:
         action = QAction(text, self)
         if shortcut:
             action.setShortcut(QKeySequence(shortcut))
-        action.triggered.connect(lambda: slot())  # type: ignore[operator]
+        action.triggered.connect(lambda: slot())  # without Qt's "checked"
         return action
 
     # -- what the user does -----------------------------------------------------------------------------
@@ -193,6 +194,8 @@ class MainWindow(QMainWindow):
 
     def use_rig_file(self, path: Path) -> None:
         """Load a rig and connect it; what is wrong with it is said in the banner."""
+        if self.model.phase not in {Phase.OFFLINE, Phase.READY}:
+            return  # the bench in use is described by the rig there is
         try:
             self.model.set_rig(load_rig(path))
         except GonioError as error:
@@ -227,10 +230,10 @@ class MainWindow(QMainWindow):
     def _use_output(self, path: Path) -> None:
         self.model.path = path
 
-    def _ask_file(self, title: str, kinds: str, use: object) -> QFileDialog:
+    def _ask_file(self, title: str, kinds: str, use: Callable[[Path], None]) -> QFileDialog:
         dialog = QFileDialog(self, title, str(self.model.path.parent), kinds)
         dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        dialog.fileSelected.connect(lambda name: use(Path(name)))  # type: ignore[operator]
+        dialog.fileSelected.connect(lambda name: use(Path(name)))
         dialog.open()
         return dialog
 
@@ -262,8 +265,9 @@ class MainWindow(QMainWindow):
 
     def _draw(self) -> None:
         model = self.model
-        if model.live is not self._prepared_live or self._prepared_live is None:
-            self._prepared_live = model.live
+        shown = (model.plan, model.rig, model.live)
+        if self._prepared is None or any(a is not b for a, b in zip(shown, self._prepared, strict=True)):
+            self._prepared = shown
             refused = [refusal.position.index for refusal in model.refusals if refusal.position is not None]
             self.geometry_view.prepare(model.plan, model.rig, refused)
             self.plots.prepare(model.live)
@@ -278,10 +282,10 @@ class MainWindow(QMainWindow):
         idle = not model.phase.busy and not self._closing
         for action in (
             self.open_plan_action, self.paper_plan_action, self.output_action, self.new_output_action,
-            self.open_rig_action,
         ):  # fmt: skip
             action.setEnabled(idle)
-        self.connect_action.setEnabled(model.phase in {Phase.OFFLINE, Phase.READY})
+        for action in (self.open_rig_action, self.connect_action):
+            action.setEnabled(idle and model.phase is not Phase.CONNECTING)
         self.start_action.setEnabled(self.controls.start.isEnabled())
         self.pause_action.setEnabled(self.controls.pause.isEnabled())
         self.stop_action.setEnabled(self.controls.stop.isEnabled())

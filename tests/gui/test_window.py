@@ -360,6 +360,9 @@ def test_wavelength_slider_redraws_the_polar_plots(
     assert "900 nm" in window.plots.wavelength.text()
     _, percent = window.plots.polar["s"].points(0)
     np.testing.assert_allclose(percent, 100.0 * scan.r[:4, 2], rtol=1e-9)
+    window.model.set_plan(Plan.paper())  # another plan leaves the wavelength where it is
+    window.tick()
+    assert "900 nm" in window.plots.wavelength.text()
 
 
 KILLED = """
