@@ -2,8 +2,8 @@
 
     python headless_scan.py plan.toml rig.toml sample-a sample-b
 
-Without a rig file (give "-") the simulated ARTA is measured.  Each scan is a file of its own; one that was interrupted
-goes on where it stopped, one that is complete is left alone.
+Without a rig file (give "-") the simulated ARTA is measured.  Each scan is a file of its own; one that was
+interrupted goes on where it stopped, one that is complete is left alone.
 """
 
 from __future__ import annotations
@@ -21,7 +21,11 @@ from gonio.errors import GonioError
 def show(snapshot: Snapshot) -> None:
     """Print a line per ten positions; `left_s` is instrument time."""
     if snapshot.state is State.RUNNING and snapshot.readings_done and snapshot.done % 10 == 0:
-        print(f"\r{snapshot.done}/{snapshot.total} positions, {snapshot.left_s / 60:.0f} min left   ", end="", flush=True)
+        print(
+            f"\r{snapshot.done}/{snapshot.total} positions, {snapshot.left_s / 60:.0f} min left   ",
+            end="",
+            flush=True,
+        )
 
 
 def main(plan_file: str, rig_file: str, *samples: str) -> int:
@@ -35,7 +39,9 @@ def main(plan_file: str, rig_file: str, *samples: str) -> int:
                 if journal_path(path).exists():
                     resume_scan(path, connected, on_snapshot=show).run()
                 elif not path.exists():
-                    named = plan.model_copy(update={"sample": plan.sample.model_copy(update={"name": sample})})
+                    named = plan.model_copy(
+                        update={"sample": plan.sample.model_copy(update={"name": sample})}
+                    )
                     Runner(connected, named, path, on_snapshot=show).run()
                 fit = gonio.fit(gonio.load(path))
                 fit.save(path)

@@ -1,7 +1,8 @@
 """Start and stop the simulated bench as a process of its own.
 
-The process shares nothing with this one but the bytes on its ports.  It ends with this process, however this one ends:
-it serves until its standard input closes, and the operating system closes that pipe even after a `kill -9`.
+The process shares nothing with this one but the bytes on its ports.  It ends with this process, however this
+one ends: it serves until its standard input closes, and the operating system closes that pipe even after a
+`kill -9`.
 """
 
 from __future__ import annotations
@@ -60,7 +61,8 @@ def simulated_bench(
             command += ["--truth", str(truth_csv)]
         if sphere_csv is not None:
             command += ["--sphere", str(sphere_csv)]
-        # A session of its own: Ctrl-C reaches this process, which still needs the bench to stop the motors in order.
+        # A session of its own: Ctrl-C reaches this process, which still needs the bench to stop the motors
+        # in order.
         process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
@@ -77,8 +79,12 @@ def simulated_bench(
 
 
 @contextlib.contextmanager
-def served(rig: RigConfig, *, truth_csv: Path | None = None, sphere_csv: Path | None = None) -> Iterator[RigConfig]:
-    """Yield `rig` with addresses that answer: itself for real hardware, else served by the simulated bench."""
+def served(
+    rig: RigConfig, *, truth_csv: Path | None = None, sphere_csv: Path | None = None
+) -> Iterator[RigConfig]:
+    """Yield `rig` with addresses that answer: itself for real hardware, else served by the simulated
+    bench.
+    """
     if not any(address == "simulated" for address in rig.addresses().values()):
         yield rig
         return
@@ -115,7 +121,11 @@ def _forward(stream: IO[str], lines: queue.Queue[str | None]) -> None:
 
 
 def _did_not_start(reason: str) -> ConnectionFailed:
-    return ConnectionFailed("simulated bench", f"did not start: {reason}", "correct this, or give a rig of real hardware with --rig")
+    return ConnectionFailed(
+        "simulated bench",
+        f"did not start: {reason}",
+        "correct this, or give a rig of real hardware with --rig",
+    )
 
 
 def _end(process: subprocess.Popen[str]) -> None:

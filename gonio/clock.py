@@ -1,8 +1,8 @@
 """Instrument time: the real clock, or the simulated bench's, which may run fast.
 
-Settling, time constants and move durations are instrument seconds.  On real hardware they are real seconds; on the
-simulated bench one real second is `speed` instrument seconds.  Deadlines of the wire (how long a reply may take) are
-real seconds and do not use this clock.
+Settling, time constants and move durations are instrument seconds.  On real hardware they are real seconds;
+on the simulated bench one real second is `speed` instrument seconds.  Deadlines of the wire (how long a
+reply may take) are real seconds and do not use this clock.
 """
 
 from __future__ import annotations

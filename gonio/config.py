@@ -1,14 +1,15 @@
 """Read the TOML files a user writes and turn every mistake into one clear message.
 
-The schema of each file is a pydantic model derived from `Strict`: unknown keys are refused (with the nearest known
-key as a suggestion), numbers must be numbers (no ``"20"``, no ``true``, no ``nan``), and units are part of the names.
+The schema of each file is a pydantic model derived from `Strict`: unknown keys are refused (with the nearest
+known key as a suggestion), numbers must be numbers (no ``"20"``, no ``true``, no ``nan``), and units are
+part of the names.
 """
 
 from __future__ import annotations
 
 import difflib
+import inspect
 import tomllib
-import types
 import typing
 from collections.abc import Mapping
 from pathlib import Path
@@ -104,7 +105,7 @@ def _known_keys(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]
 
 
 def _model_in(annotation: Any) -> type[BaseModel] | None:
-    if isinstance(annotation, type) and not isinstance(annotation, types.GenericAlias) and issubclass(annotation, BaseModel):
+    if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
         return annotation
     for inner in typing.get_args(annotation):
         found = _model_in(inner)

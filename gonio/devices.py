@@ -1,11 +1,11 @@
 """What a device is to the rest of the program: small protocols that drivers implement.
 
-`Stage` turns the sample (theta_i) and the detector arm (theta_mes), `Polarizer` selects S or P, `Spectrometer` turns a
-list of wavelengths into detector signals.  `gonio.rig.Rig` composes them.  Drivers live in other packages and are found
-by the entry-point group ``gonio.drivers`` (see `gonio.rig`).
+`Stage` turns the sample (theta_i) and the detector arm (theta_mes), `Polarizer` selects S or P,
+`Spectrometer` turns a list of wavelengths into detector signals.  `gonio.rig.Rig` composes them.  Drivers
+live in other packages and are found by the entry-point group ``gonio.drivers`` (see `gonio.rig`).
 
-Devices also satisfy `bluesky.protocols` structurally (`name`, `parent`, `read`, `describe`, `set`, `trigger`, `stop`),
-so bluesky's RunEngine can drive the same rig; bluesky itself is not imported.
+Devices also satisfy `bluesky.protocols` structurally (`name`, `parent`, `read`, `describe`, `set`,
+`trigger`, `stop`), so bluesky's RunEngine can drive the same rig; bluesky itself is not imported.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ Polarization = Literal["s", "p"]
 FloatArray = NDArray[np.float64]
 
 Beam = Literal["sample", "direct", "dark"]
-"""What the detector looks at: light from the sample, the direct beam (100 % baseline), or nothing (shutter closed)."""
+"""What the detector looks at: light from the sample, the direct beam (100 % baseline), or nothing (shutter
+closed).
+"""
 
 
 class Quality(enum.IntFlag):
@@ -52,35 +54,56 @@ class Status(Protocol):
     """Progress of an action started by `set` or `trigger` (bluesky's Status)."""
 
     @property
-    def done(self) -> bool: ...
+    def done(self) -> bool:
+        """Whether the action has ended."""
+        ...
+
     @property
-    def success(self) -> bool: ...
-    def add_callback(self, callback: Callable[[Any], None]) -> None: ...
-    def exception(self, timeout: float | None = 0.0) -> BaseException | None: ...
-    def wait(self, timeout: float | None = None) -> None: ...
+    def success(self) -> bool:
+        """Whether it ended as it should."""
+        ...
+
+    def add_callback(self, callback: Callable[[Any], None]) -> None:
+        """Call back when the action has ended."""
+        ...
+
+    def exception(self, timeout: float | None = 0.0) -> BaseException | None:
+        """Return what it failed with, None if it did not."""
+        ...
+
+    def wait(self, timeout: float | None = None) -> None:
+        """Block until it has ended; raise what it failed with."""
+        ...
 
 
 class Axis(Protocol):
     """A rotation axis.  Angles are degrees of the user's convention, never steps."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Name of the device in messages and documents."""
+        ...
+
     @property
-    def parent(self) -> None: ...
+    def parent(self) -> None:
+        """No device contains this one (bluesky)."""
+        ...
 
     def position_deg(self) -> float:
         """Return the position read back from the hardware."""
         ...
 
     def start(self, target_deg: float) -> None:
-        """Begin a move; `RefusedError` before a byte is sent if the target or the path to it is not allowed."""
+        """Begin a move; `RefusedError` before a byte is sent if the target or the path to it is not
+        allowed.
+        """
         ...
 
     def wait(self) -> float:
         """Block until the move is verified and return the read-back.
 
-        A move is done when the controller is idle without a fault and the read-back lies within the tolerance of the
-        target; anything else is a `MotionError`.
+        A move is done when the controller is idle without a fault and the read-back lies within the
+        tolerance of the target; anything else is a `MotionError`.
         """
         ...
 
@@ -93,42 +116,77 @@ class Axis(Protocol):
         ...
 
     # bluesky
-    def set(self, value: float) -> Status: ...
-    def read(self) -> Mapping[str, Any]: ...
-    def describe(self) -> Mapping[str, Any]: ...
+    def set(self, value: float) -> Status:
+        """Begin a move in the background (bluesky)."""
+        ...
+
+    def read(self) -> Mapping[str, Any]:
+        """Return the position read back (bluesky)."""
+        ...
+
+    def describe(self) -> Mapping[str, Any]:
+        """Describe what `read` returns (bluesky)."""
+        ...
 
 
 class Stage(Protocol):
     """The goniometer's two axes on their line."""
 
     @property
-    def theta_i(self) -> Axis: ...
+    def theta_i(self) -> Axis:
+        """The axis that turns the sample."""
+        ...
+
     @property
-    def theta_mes(self) -> Axis: ...
-    def identify(self) -> str: ...
-    def stop(self) -> None: ...
-    def close(self) -> None: ...
+    def theta_mes(self) -> Axis:
+        """The axis that turns the detector arm."""
+        ...
+
+    def identify(self) -> str:
+        """Return what the device says of itself."""
+        ...
+
+    def stop(self) -> None:
+        """Stop now; callable from any thread, at any time, any number of times."""
+        ...
+
+    def close(self) -> None:
+        """Release the line; any number of times."""
+        ...
 
 
 class Polarizer(Protocol):
     """Selects the polarization of the incident beam."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Name of the device in messages and documents."""
+        ...
+
     def select(self, polarization: Polarization) -> float:
         """Turn to S or P, verify, and return the read-back rotator angle in degrees."""
         ...
 
-    def identify(self) -> str: ...
-    def stop(self) -> None: ...
-    def close(self) -> None: ...
+    def identify(self) -> str:
+        """Return what the device says of itself."""
+        ...
+
+    def stop(self) -> None:
+        """Stop now; callable from any thread, at any time, any number of times."""
+        ...
+
+    def close(self) -> None:
+        """Release the line; any number of times."""
+        ...
 
 
 class Spectrometer(Protocol):
     """Wavelength selection, shutter and detectors."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Name of the device in messages and documents."""
+        ...
 
     def measure_spectrum(
         self,
@@ -141,15 +199,23 @@ class Spectrometer(Protocol):
     ) -> SpectrumReading:
         """Measure at each wavelength with the given detector, in the given order.
 
-        `on_reading(i)` is called after reading i, on the calling thread; an exception it raises ends the pass.
-        The shutter is opened for ``sample`` and ``direct`` and closed for ``dark``.
+        `on_reading(i)` is called after reading i, on the calling thread; an exception it raises ends the
+        pass. The shutter is opened for ``sample`` and ``direct`` and closed for ``dark``.
         """
         ...
 
-    def close_shutter(self) -> None: ...
+    def close_shutter(self) -> None:
+        """Close the shutter, whatever is believed of it."""
+        ...
+
     def identify(self) -> Mapping[str, str]:
         """Return what each connected part says of itself, by role."""
         ...
 
-    def stop(self) -> None: ...
-    def close(self) -> None: ...
+    def stop(self) -> None:
+        """Stop now; callable from any thread, at any time, any number of times."""
+        ...
+
+    def close(self) -> None:
+        """Release the line; any number of times."""
+        ...

@@ -1,7 +1,7 @@
 """Errors that a user can act on.
 
-Every message says what was asked, the value with its unit, the limit, and what to do.  The command line prints
-the message of a `GonioError` and exits with code 1; any other exception is a defect of the program.
+Every message says what was asked, the value with its unit, the limit, and what to do.  The command line
+prints the message of a `GonioError` and exits with code 1; any other exception is a defect of the program.
 """
 
 from __future__ import annotations

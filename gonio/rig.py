@@ -1,7 +1,8 @@
 """The rig: what `rig.toml` says, the checks made before anything moves, and the devices put together.
 
-`load_rig` reads and validates the file (each device's table with the model of its driver), `RigConfig` answers every
-question that needs no hardware, `open_rig` connects.  The default file is the simulated ARTA, `gonio/data/arta.toml`.
+`load_rig` reads and validates the file (each device's table with the model of its driver), `RigConfig`
+answers every question that needs no hardware, `open_rig` connects.  The default file is the simulated ARTA,
+`gonio/data/arta.toml`.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from gonio.clock import Clock
-from gonio.config import Count, NotNegative, Number, Positive, Strict, parse_toml, read_toml, validate
+from gonio.config import NotNegative, Number, Positive, Strict, parse_toml, read_toml, validate
 from gonio.devices import FloatArray, Polarizer, Spectrometer, Stage
 from gonio.errors import ConfigError, DeviceError, RefusedError
 
@@ -52,7 +53,9 @@ class AxisConfig(Strict):
     def _limits_in_order(self) -> Self:
         low, high = self.limits_deg
         if not low < high:
-            raise ValueError(f"limits_deg = [{low}, {high}] deg: the first must be below the second; swap or correct them")
+            raise ValueError(
+                f"limits_deg = [{low}, {high}] deg: the first must be below the second; swap or correct them"
+            )
         return self
 
     def move_duration_s(self, distance_deg: float) -> float:
@@ -86,7 +89,9 @@ class PolarizerConfig(DeviceConfig):
 
 
 class DetectorConfig(Strict):
-    """One detector and the wavelengths it is used for; `range_nm` is closed below and open above, but for the last."""
+    """One detector and the wavelengths it is used for; `range_nm` is closed below and open above, but for
+    the last.
+    """
 
     name: str
     type: str  # PMT, InGaAs, PbS, Si
@@ -104,7 +109,9 @@ class SpectrometerConfig(Strict):
         for detector in self.detectors:
             low, high = detector.range_nm
             if not low < high:
-                raise ValueError(f"detector '{detector.name}': range_nm = [{low}, {high}] nm must ascend; correct it")
+                raise ValueError(
+                    f"detector '{detector.name}': range_nm = [{low}, {high}] nm must ascend; correct it"
+                )
         for first, second in zip(self.detectors, self.detectors[1:], strict=False):
             if second.range_nm[0] < first.range_nm[1]:
                 raise ValueError(
@@ -114,7 +121,9 @@ class SpectrometerConfig(Strict):
         return self
 
     def addresses(self) -> dict[str, str]:
-        """Return the addresses by role, such as ``{"monochromator": ..., "lockin": ...}``; a driver's model overrides."""
+        """Return the addresses by role, such as ``{"monochromator": ..., "lockin": ...}``; a driver's
+        model overrides.
+        """
         return {}
 
     def reading_duration_s(self, wavelength_nm: FloatArray, averages: int) -> float:
@@ -141,7 +150,8 @@ class RigConfig(Strict):
     simulation: Mapping[str, Any] | None = None
     text: str = ""
 
-    # -- questions that need no hardware -------------------------------------------------------------------------
+    # -- questions that need no hardware
+    # -------------------------------------------------------------------------
 
     def check_axis_target(self, axis: Literal["theta_i", "theta_mes"], target_deg: float) -> None:
         """Raise `RefusedError` if the axis must not stand at `target_deg`."""
@@ -190,8 +200,9 @@ class RigConfig(Strict):
             for role, address in self.addresses().items():
                 if not _may_be_simulated(address):
                     raise ConfigError(
-                        f"rig '{self.name}': [simulation] clock_speed = {speed:g} but the {role} at {address} is real "
-                        "hardware, whose settling would be cut short; remove [simulation] from the file"
+                        f"rig '{self.name}': [simulation] clock_speed = {speed:g} but the {role} at "
+                        f"{address} is real hardware, whose settling would be cut short; remove [simulation] "
+                        "from the file"
                     )
         return speed
 
@@ -209,10 +220,12 @@ def check_target(axis: str, config: AxisConfig, target_deg: float, *, rig_name: 
     low, high = config.limits_deg
     if not np.isfinite(target_deg):
         raise RefusedError(f"{axis} = {target_deg} deg is not an angle; give a finite number of degrees")
-    if abs(target_deg) < config.blind_zone_deg:
+    zone = config.blind_zone_deg
+    if abs(target_deg) < zone:
+        edge = zone if high >= zone else -zone
         raise RefusedError(
-            f"{axis} = {target_deg:g} deg is inside the blind zone (|{axis}| < {config.blind_zone_deg:g} deg) of rig "
-            f"'{rig_name}'; start the sweep at {config.blind_zone_deg:g}"
+            f"{axis} = {target_deg:g} deg is inside the blind zone (|{axis}| < {zone:g} deg) of rig "
+            f"'{rig_name}'; start the sweep at {edge:g}"
         )
     if not low <= target_deg <= high:
         raise RefusedError(
@@ -230,12 +243,14 @@ def check_path(axis: str, config: AxisConfig, from_deg: float, target_deg: float
     crosses = from_deg * target_deg < 0
     if zone > 0 and crosses:
         raise RefusedError(
-            f"{axis}: the way from {from_deg:g} to {target_deg:g} deg sweeps through the blind zone (|{axis}| < {zone:g} "
-            f"deg) of rig '{rig_name}'; measure the two sides in separate scans, or turn the sample instead"
+            f"{axis}: the way from {from_deg:g} to {target_deg:g} deg sweeps through the blind zone "
+            f"(|{axis}| < {zone:g} deg) of rig '{rig_name}'; measure the two sides "
+            "in separate scans, or turn the sample instead"
         )
 
 
-# -- drivers ------------------------------------------------------------------------------------------------------
+# -- drivers
+# ------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,11 +278,14 @@ def find_driver(role: Role, name: str, *, source: str) -> Driver:
     if point is None:
         known = sorted(n.removeprefix(f"{role}.") for n in points if n.startswith(f"{role}."))
         raise ConfigError(
-            f"{source}: {role}.driver = '{name}' is not installed; installed {role} drivers: {', '.join(known) or 'none'}"
+            f"{source}: {role}.driver = '{name}' is not installed; installed {role} drivers: "
+            f"{', '.join(known) or 'none'}"
         )
     driver = point.load()
     if not isinstance(driver, Driver) or driver.role != role:
-        raise ConfigError(f"{source}: the entry point {point.name} = {point.value} is not a gonio {role} driver; correct it")
+        raise ConfigError(
+            f"{source}: the entry point {point.name} = {point.value} is not a gonio {role} driver; correct it"
+        )
     return driver
 
 
@@ -324,12 +342,15 @@ def with_addresses(config: RigConfig, addresses: Mapping[str, str]) -> RigConfig
     )
 
 
-# -- the connected rig --------------------------------------------------------------------------------------------
+# -- the connected rig
+# --------------------------------------------------------------------------------------------
 
 
 @dataclass
 class Rig:
-    """Connected devices; use as a context manager, which stops the motors and closes the shutter on every exit."""
+    """Connected devices; use as a context manager, which stops the motors and closes the shutter on every
+    exit.
+    """
 
     config: RigConfig
     stage: Stage
@@ -340,8 +361,8 @@ class Rig:
     def move_to(self, theta_i_deg: float, theta_mes_deg: float) -> tuple[float, float]:
         """Move both axes and return their verified read-backs in degrees.
 
-        `RefusedError` before a byte is sent if either target or path is not allowed; `MotionError` if a move does not
-        end where it should.
+        `RefusedError` before a byte is sent if either target or path is not allowed; `MotionError` if a move
+        does not end where it should.
         """
         self.config.check_position(theta_i_deg, theta_mes_deg)
         self.stage.theta_i.start(theta_i_deg)

@@ -48,7 +48,8 @@ class CS260Config(Strict):
     slit_um: Positive | None = None  # entrance and exit slit; left as they are if not given
     tolerance_nm: Positive = 0.1
     baudrate: Count = 9600
-    # True: WAVE? goes out right behind GOWAVE, which saves a round trip per wavelength.  The instrument must then
+    # True: WAVE? goes out right behind GOWAVE, which saves a round trip per wavelength.  The instrument must
+    # then
     # buffer a statement while it carries out another; its manual does not promise that.
     pipelined: bool = False
     # how long things take, for estimates and deadlines

@@ -25,13 +25,20 @@ def dry_run(plan_file: Path, rig_file: Path | None) -> int:
     plan = load_plan(plan_file)
     positions = plan.positions()
     refusals = check(plan, rig)
-    print(f"{plan.title}: {len(positions)} positions, {len(plan.wavelength_nm)} wavelengths, rig '{rig.name}'")
+    print(
+        f"{plan.title}: {len(positions)} positions, {len(plan.wavelength_nm)} wavelengths, rig '{rig.name}'"
+    )
     for refusal in refusals:
         print(f"refused: {refusal}", file=sys.stderr)
     if refusals:
-        print(f"{len(refusals)} refused; nothing would be measured until the plan is corrected", file=sys.stderr)
+        print(
+            f"{len(refusals)} refused; nothing would be measured until the plan is corrected", file=sys.stderr
+        )
         return 1
-    print(f"every position is allowed; estimated duration {readable_duration(estimate(plan, rig))} of instrument time")
+    print(
+        "every position is allowed; estimated duration "
+        f"{readable_duration(estimate(plan, rig))} of instrument time"
+    )
     return 0
 
 
@@ -47,7 +54,9 @@ def scan(plan_file: Path, rig_file: Path | None, output: Path, *, wire_log: Path
 
 
 def resume(path: Path, rig_file: Path | None, *, wire_log: Path | None) -> int:
-    """Continue an interrupted scan with the rig stored in it, or with another description of the same bench."""
+    """Continue an interrupted scan with the rig stored in it, or with another description of the same
+    bench.
+    """
     rig = load_rig(rig_file) if rig_file is not None else stored_rig(path)
     with served(rig) as reachable:
         continue_scan(path, reachable, wire_log=wire_log)
@@ -67,8 +76,8 @@ def refuse_existing(path: Path) -> None:
     """Raise `StoreError` if a file is in the way, before any device is touched."""
     if path.exists():
         raise StoreError(
-            f"{path} exists already and is never overwritten; choose another name with -o, or continue it with "
-            f"gonio scan --resume {path}"
+            f"{path} exists already and is never overwritten; choose another name with -o, or continue it "
+            f"with gonio scan --resume {path}"
         )
     if not path.absolute().parent.is_dir():
         raise StoreError(f"{path}: the folder {path.parent} does not exist; make it first")
@@ -145,5 +154,3 @@ def devices(rig_file: Path | None) -> int:
         theta_i, theta_mes = connected.stage.theta_i, connected.stage.theta_mes
         print(f"theta_i = {theta_i.position_deg():.3f} deg, theta_mes = {theta_mes.position_deg():.3f} deg")
     return 0
-
-

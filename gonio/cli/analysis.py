@@ -29,14 +29,16 @@ def fit(path: Path, aperture: ApertureModel, polarization: PolarizationChoice, *
     result.save(path)
     print(fit_table(scan, result))
     print(
-        f"{len(result.wavelength_nm)} wavelengths, {scan.r.shape[0]} positions, aperture '{aperture}', polarization "
-        f"'{polarization}': {readable_duration(duration_s)}; stored in {path}"
+        f"{len(result.wavelength_nm)} wavelengths, {scan.r.shape[0]} positions, aperture '{aperture}', "
+        f"polarization '{polarization}': {readable_duration(duration_s)}; stored in {path}"
     )
     return 0
 
 
 def fit_table(scan: Scan, result: FitResult) -> str:
-    """Return the printed table of a fit, beside the sphere and (on the simulated bench) the truth, where stored."""
+    """Return the printed table of a fit, beside the sphere and (on the simulated bench) the truth, where
+    stored.
+    """
     return result.table(truth=_columns(scan.path, "simulated_truth"), sphere=_columns(scan.path, "sphere"))
 
 
@@ -48,7 +50,9 @@ def _columns(path: Path, group: str) -> dict[str, FloatArray] | None:
 
 
 def _compare(scan: Scan, polarization: PolarizationChoice) -> None:
-    print("aperture model       rho_d     rho_s     alpha        n2    k_d(8)    k_s(8)    residual      time")
+    print(
+        "aperture model       rho_d     rho_s     alpha        n2    k_d(8)    k_s(8)    residual      time"
+    )
     for aperture in COMPARED:
         start = time.perf_counter()
         result = fit_scan(scan, aperture=aperture, polarization=polarization)
@@ -57,7 +61,9 @@ def _compare(scan: Scan, polarization: PolarizationChoice) -> None:
         medians = [*np.nanmedian(result.value, axis=0), np.nanmedian(k.k_d.value), np.nanmedian(k.k_s.value)]
         rms = float(np.nanmedian(result.rms))
         print(
-            f"{aperture:<16}" + "".join(f"{value:>10.4g}" for value in medians) + f"{rms:>12.2e}{duration_s:>8.2f} s"
+            f"{aperture:<16}"
+            + "".join(f"{value:>10.4g}" for value in medians)
+            + f"{rms:>12.2e}{duration_s:>8.2f} s"
         )
     truth = _columns(scan.path, "simulated_truth")
     if truth is not None:
@@ -72,7 +78,9 @@ def _compare(scan: Scan, polarization: PolarizationChoice) -> None:
 def facade(scene_file: Path, output: Path, *, rel_tol: float, seed: int, threads: int | None) -> int:
     """Simulate a street scene and store the irradiance."""
     if not 0 < rel_tol < 1:
-        raise ConfigError(f"--rel-tol {rel_tol:g} is not between 0 and 1; 0.01 asks for a standard error of 1 %")
+        raise ConfigError(
+            f"--rel-tol {rel_tol:g} is not between 0 and 1; 0.01 asks for a standard error of 1 %"
+        )
     if output.exists():
         raise StoreError(f"{output} exists already; choose another name with -o, or remove it")
     from gonio.facade import load_scene, simulate

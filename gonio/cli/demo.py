@@ -1,7 +1,7 @@
 """`gonio demo`: the whole chain on the simulated ARTA.
 
-Nothing is shortened or made up: the simulator is another process, every reading travels over its ports, the scan is an
-ordinary scan, and each following step reads the file that the step before it has written.
+Nothing is shortened or made up: the simulator is another process, every reading travels over its ports, the
+scan is an ordinary scan, and each following step reads the file that the step before it has written.
 """
 
 from __future__ import annotations
@@ -29,15 +29,17 @@ def demo(folder: Path, *, quick: bool, rig_file: Path | None) -> int:
     rig = load_rig(rig_file)
     if not rig.is_simulated():
         raise ConfigError(
-            f"rig '{rig.name}' has real addresses, and the demo runs on the simulated bench only; set every address to "
-            '"simulated", or measure with gonio scan'
+            f"rig '{rig.name}' has real addresses, and the demo runs on the simulated bench only; set every "
+            'address to "simulated", or measure with gonio scan'
         )
     plan = demo_plan(quick=quick)
     refuse_bad_plan(plan, rig)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise StoreError(f"{folder}: cannot be made ({error.strerror}); choose another folder with --out") from None
+        raise StoreError(
+            f"{folder}: cannot be made ({error.strerror}); choose another folder with --out"
+        ) from None
     (folder / "plan.toml").write_text(plan.to_toml(), encoding="utf-8")
     (folder / "rig.toml").write_text(rig.text, encoding="utf-8")
     (folder / "street.toml").write_text(_data("street.toml"), encoding="utf-8")
@@ -47,7 +49,10 @@ def demo(folder: Path, *, quick: bool, rig_file: Path | None) -> int:
     _facade(folder / "street.toml", folder / "facade.h5")
     page = _report(folder / "hpl.h5", folder / "facade.h5", folder / "report")
     print(f"\nDone in {readable_duration(time.perf_counter() - start)}. Open {page}")
-    print(f"The data: {folder / 'hpl.h5'} and {folder / 'facade.h5'}; plan, rig and scene stand beside them to play with.")
+    print(
+        f"The data: {folder / 'hpl.h5'} and {folder / 'facade.h5'}; plan, rig and scene stand beside them "
+        "to play with."
+    )
     return 0
 
 
@@ -91,7 +96,10 @@ def _fit(path: Path) -> None:
     joint = fit(scan, aperture="exact", polarization="joint")
     duration_s = time.perf_counter() - start
     joint.save(path)
-    for polarization in ("s", "p"):  # the paper's Figure 12 shows n2 of S alone and P alone beside the joint one
+    for polarization in (
+        "s",
+        "p",
+    ):  # the paper's Figure 12 shows n2 of S alone and P alone beside the joint one
         fit(scan, aperture="exact", polarization=polarization).save(path)
     print(f"3  Fit, S and P jointly, exact aperture: {readable_duration(duration_s)}\n")
     print(fit_table(scan, joint))

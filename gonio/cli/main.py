@@ -26,12 +26,18 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"gonio {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
-    demo = commands.add_parser("demo", help="the whole chain on the simulated ARTA: scan, HDF5, fit, facade, report")
-    demo.add_argument("--out", type=Path, default=Path("gonio-demo"), metavar="DIR", help="folder (default: gonio-demo)")
+    demo = commands.add_parser(
+        "demo", help="the whole chain on the simulated ARTA: scan, HDF5, fit, facade, report"
+    )
+    demo.add_argument(
+        "--out", type=Path, default=Path("gonio-demo"), metavar="DIR", help="folder (default: gonio-demo)"
+    )
     demo.add_argument("--quick", action="store_true", help="a tenth of the wavelengths")
     _rig_option(demo)
 
-    plan = commands.add_parser("plan", help="dry run: check every position, estimate the time; exit 1 if any is refused")
+    plan = commands.add_parser(
+        "plan", help="dry run: check every position, estimate the time; exit 1 if any is refused"
+    )
     plan.add_argument("plan", type=Path, metavar="PLAN.toml")
     _rig_option(plan)
 
@@ -39,7 +45,9 @@ def build_parser() -> argparse.ArgumentParser:
     scan.add_argument("plan", type=Path, nargs="?", metavar="PLAN.toml")
     scan.add_argument("-o", "--output", type=Path, metavar="FILE.h5")
     scan.add_argument("--resume", type=Path, metavar="FILE.h5", help="continue an interrupted scan")
-    scan.add_argument("--wire-log", type=Path, metavar="FILE", help="append every byte on the wire, with its time")
+    scan.add_argument(
+        "--wire-log", type=Path, metavar="FILE", help="append every byte on the wire, with its time"
+    )
     _rig_option(scan)
 
     fit = commands.add_parser("fit", help="fit the BRDF, store it beside the data, print the table")
@@ -48,17 +56,23 @@ def build_parser() -> argparse.ArgumentParser:
     fit.add_argument("--polarization", choices=["joint", "s", "p"], default="joint")
     fit.add_argument("--compare", action="store_true", help="the four aperture models side by side")
 
-    facade = commands.add_parser("facade", help="irradiance of a street scene, with standard errors and contributions")
+    facade = commands.add_parser(
+        "facade", help="irradiance of a street scene, with standard errors and contributions"
+    )
     facade.add_argument("scene", type=Path, metavar="SCENE.toml")
     facade.add_argument("-o", "--output", type=Path, required=True, metavar="OUT.h5")
-    facade.add_argument("--rel-tol", type=float, default=0.01, metavar="X", help="relative standard error (default 0.01)")
+    facade.add_argument(
+        "--rel-tol", type=float, default=0.01, metavar="X", help="relative standard error (default 0.01)"
+    )
     facade.add_argument("--seed", type=int, default=0)
     facade.add_argument("--threads", type=int, default=None)
 
     report = commands.add_parser("report", help="figures and one HTML page of a scan or of a facade result")
     report.add_argument("file", type=Path, metavar="FILE.h5")
     report.add_argument("-o", "--output", type=Path, metavar="DIR", help="folder (default: FILE-report)")
-    report.add_argument("--facade", type=Path, metavar="FACADE.h5", help="facade result to show in a scan's report")
+    report.add_argument(
+        "--facade", type=Path, metavar="FACADE.h5", help="facade result to show in a scan's report"
+    )
 
     devices = commands.add_parser("devices", help="what is connected and answering")
     _rig_option(devices)

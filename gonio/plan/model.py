@@ -152,9 +152,9 @@ class Reading(Strict):
 class References(Strict):
     """When the dark signal and the direct beam (100 %) are measured, and how often each reading is repeated.
 
-    With `averages` = 1 nothing is known of the noise, and no uncertainty can be stored beside `r`.  The error of
-    the dark reading is common to all positions, and a white panel gives r = 1 %: a dark reading deserves more
-    averages than the strong direct beam.
+    With `averages` = 1 nothing is known of the noise, and no uncertainty can be stored beside `r`.  The
+    error of the dark reading is common to all positions, and a white panel gives r = 1 %: a dark reading
+    deserves more averages than the strong direct beam.
     """
 
     dark: Annotated[tuple[When, ...], BeforeValidator(_a_list("'start' and 'end'", '["start", "end"]'))] = (

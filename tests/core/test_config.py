@@ -26,7 +26,9 @@ def message(table: dict[str, object]) -> str:
 
 
 def test_unknown_key_is_named_with_the_nearest_known_one() -> None:
-    text = message({"title": "x", "sweeps": [{"theta_i_deg": 20.0}, {"theta_i_rad": 0.3, "theta_i_deg": 1.0}]})
+    text = message(
+        {"title": "x", "sweeps": [{"theta_i_deg": 20.0}, {"theta_i_rad": 0.3, "theta_i_deg": 1.0}]}
+    )
     assert text.startswith("plan.toml: sweeps[2].theta_i_rad is an unknown key; did you mean 'theta_i_deg'?")
 
 

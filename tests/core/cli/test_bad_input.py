@@ -49,7 +49,9 @@ def edited(old: str, new: str, text: str = PLAN) -> str:
         ("", ["missing"]),
     ],
 )
-def test_a_bad_plan_is_refused_before_anything_is_written(tmp_path: Path, plan: str, expected: list[str]) -> None:
+def test_a_bad_plan_is_refused_before_anything_is_written(
+    tmp_path: Path, plan: str, expected: list[str]
+) -> None:
     (tmp_path / "plan.toml").write_text(plan)
     for command in (["plan", "plan.toml"], ["scan", "plan.toml", "-o", "out.h5"]):
         outcome = gonio(*command, cwd=tmp_path)

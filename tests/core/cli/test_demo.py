@@ -41,7 +41,9 @@ def test_every_planned_reading_is_there(demo: Demo) -> None:
         for theta_i, stop in ((20, 105), (30, 114), (45, 126), (55, 141))
         for theta_mes in range(15, stop + 1, 3)
     ]
-    measured = list(zip(np.round(scan.theta_i_deg), np.round(scan.theta_mes_deg), scan.polarization, strict=True))
+    measured = list(
+        zip(np.round(scan.theta_i_deg), np.round(scan.theta_mes_deg), scan.polarization, strict=True)
+    )
     assert sorted(measured) == sorted(planned)
     np.testing.assert_allclose(scan.theta_o_deg, scan.theta_mes_deg - scan.theta_i_deg, atol=1e-12)
 
@@ -76,7 +78,9 @@ def test_the_facade_adds_up(demo: Demo) -> None:
     total = sum(part.value for part in irradiance.contributions.values())
     np.testing.assert_allclose(total, irradiance.value, rtol=1e-9)
     assert np.all(irradiance.contributions["specular"].value >= 0)
-    assert irradiance.contributions["specular"].value.max() > 1.0  # W/m2: the glossy wall does send sun across the street
+    assert (
+        irradiance.contributions["specular"].value.max() > 1.0
+    )  # W/m2: the glossy wall does send sun across the street
 
 
 def test_the_report_is_one_page_on_its_own(demo: Demo) -> None:

@@ -62,7 +62,11 @@ def test_the_headless_example_measures_and_fits(tmp_path: Path) -> None:
 @pytest.mark.parametrize("rig", ["arta-modbus-rtu.toml", "arta-modbus-tcp.toml"])
 def test_the_example_rigs_measure(tmp_path: Path, rig: str) -> None:
     plan = (ROOT / "examples" / "plans" / "quick.toml").read_text(encoding="utf-8")
-    (tmp_path / "plan.toml").write_text(plan.replace("values_nm = [450.0, 550.0, 650.0]", "values_nm = [550.0]"))
-    outcome = gonio("scan", "plan.toml", "--rig", ROOT / "examples" / "rigs" / rig, "-o", "x.h5", cwd=tmp_path)
+    (tmp_path / "plan.toml").write_text(
+        plan.replace("values_nm = [450.0, 550.0, 650.0]", "values_nm = [550.0]")
+    )
+    outcome = gonio(
+        "scan", "plan.toml", "--rig", ROOT / "examples" / "rigs" / rig, "-o", "x.h5", cwd=tmp_path
+    )
     assert outcome.code == 0, outcome.err
     assert gonio("fit", "x.h5", cwd=tmp_path).code == 0
