@@ -1,7 +1,7 @@
 """The fit: four parameters per wavelength with intervals, from a scan or from plain arrays."""
 
-from gonio.fitting.file import load_fit
 from gonio.fitting.estimate import fit, fit_readings
+from gonio.fitting.file import load_fit
 from gonio.fitting.result import (
     PARAMETERS,
     ApertureModel,

@@ -1,6 +1,6 @@
 """Do 95 % intervals cover 95 %?  Simulated scans over a range of truths and noise levels.
 
-    python benchmarks/coverage.py [--scans 2000]
+    python benchmarks/fit_coverage.py [--scans 2000]
 
 Readings come from a quadrature over the plane of the aperture, not from the fit's integral.  Each scan has
 its own reading noise (floor, shot, proportional), a baseline error per polarization and one dark error.
