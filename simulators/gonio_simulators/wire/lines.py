@@ -20,6 +20,8 @@ from typing import Protocol
 
 from gonio.errors import ConfigError
 
+from gonio_simulators.clock import BenchClock
+
 HOST = "127.0.0.1"
 _RECEIVE_BYTES = 16384
 
@@ -73,9 +75,14 @@ class _Pump:
     """Moves bytes between a transport and a conversation and keeps the conversation's appointment."""
 
     def __init__(
-        self, conversation: Conversation, transmit: Callable[[bytes], None], filter_: Filter | None
+        self,
+        conversation: Conversation,
+        transmit: Callable[[bytes], None],
+        filter_: Filter | None,
+        clock: BenchClock,
     ) -> None:
         self._conversation = conversation
+        self._clock = clock
         self._transmit = transmit
         self._filter = filter_
         self._timer: asyncio.TimerHandle | None = None
@@ -93,7 +100,11 @@ class _Pump:
             self._timer = None
 
     def _deliver(self, data: bytes) -> None:
-        reply = self._conversation.feed(data)
+        self._clock.hold()
+        try:
+            reply = self._conversation.feed(data)
+        finally:
+            self._clock.release()
         if reply:
             self._send(reply)
         if self._conversation.wait_s is not None or self._timer is not None:
@@ -113,7 +124,11 @@ class _Pump:
 
     def _due(self) -> None:
         self._timer = None
-        reply = self._conversation.poll()
+        self._clock.hold()
+        try:
+            reply = self._conversation.poll()
+        finally:
+            self._clock.release()
         if reply:
             self._send(reply)
         self._appoint()
@@ -143,7 +158,9 @@ class _TcpClient(asyncio.BufferedProtocol):
         sock = transport.get_extra_info("socket")
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._transport = transport
-        self._pump = _Pump(self._port.instrument.open(), transport.write, self._port.filter)
+        self._pump = _Pump(
+            self._port.instrument.open(), transport.write, self._port.filter, self._port.clock
+        )
         self._port.taken_over_by(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -163,8 +180,11 @@ class TcpPort:
     usually a client that died without saying so.
     """
 
-    def __init__(self, instrument: Instrument, *, port: int = 0, filter_: Filter | None = None) -> None:
+    def __init__(
+        self, instrument: Instrument, clock: BenchClock, *, port: int = 0, filter_: Filter | None = None
+    ) -> None:
         self.instrument = instrument
+        self.clock = clock
         self.filter = filter_
         self._wanted_port = port
         self._server: asyncio.Server | None = None
@@ -213,8 +233,9 @@ class PtyPort:
     As on a serial cable, the instrument cannot see clients come and go: they share one conversation.
     """
 
-    def __init__(self, instrument: Instrument, *, filter_: Filter | None = None) -> None:
+    def __init__(self, instrument: Instrument, clock: BenchClock, *, filter_: Filter | None = None) -> None:
         self.instrument = instrument
+        self.clock = clock
         self.filter = filter_
         self._master = -1
         self._slave = -1
@@ -241,7 +262,7 @@ class PtyPort:
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)  # no echo and no newline translation: the bytes are the instrument's
         os.set_blocking(self._master, False)
-        self._pump = _Pump(self.instrument.open(), self._write, self.filter)
+        self._pump = _Pump(self.instrument.open(), self._write, self.filter, self.clock)
         asyncio.get_running_loop().add_reader(self._master, self._readable)
 
     def close(self) -> None:

@@ -118,9 +118,10 @@ def plan_ports(bench: Bench, tables: Mapping[str, Any], *, with_pty: bool, sourc
     ]
     served: list[Served] = []
     for role, protocol, instrument, address in wanted:
-        served.append(Served(role, protocol, TcpPort(instrument, port=wanted_port(address, source=source))))
+        port = wanted_port(address, source=source)
+        served.append(Served(role, protocol, TcpPort(instrument, bench.clock, port=port)))
         if with_pty and protocol != "modbus-tcp":
-            served.append(Served(role, protocol, PtyPort(instrument)))
+            served.append(Served(role, protocol, PtyPort(instrument, bench.clock)))
     return served
 
 

@@ -9,10 +9,15 @@ import time
 from collections.abc import Iterator
 
 import pytest
+from gonio.rig import default_rig_text
 from tests.simulators.wire.conftest import Client, Simulator, StillBench, running
 
+from gonio_simulators.bench.bench import Bench
+from gonio_simulators.bench.config import BenchConfig
+from gonio_simulators.clock import BenchClock
 from gonio_simulators.wire.lines import PtyPort, TcpPort, new_event_loop
 from gonio_simulators.wire.sr830 import Sr830
+from gonio_simulators.wire.zaber import ZaberChain
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +103,7 @@ class Splitter:
 
 def test_a_filter_sits_between_instrument_and_stream(bench: StillBench) -> None:
     async def talk() -> bytes:
-        port = TcpPort(Sr830(bench), filter_=Splitter())
+        port = TcpPort(Sr830(bench), bench.clock, filter_=Splitter())
         await port.start()
         try:
             reader, writer = await asyncio.open_connection("127.0.0.1", int(port.address.rsplit(":", 1)[1]))
@@ -114,6 +119,39 @@ def test_a_filter_sits_between_instrument_and_stream(bench: StillBench) -> None:
 
     with asyncio.Runner(loop_factory=new_event_loop) as runner:
         assert runner.run(talk()) == b"8\r"
+
+
+def test_a_reply_speaks_of_one_instant() -> None:
+    """On a bench so fast that a move ends while a reply is put together, idle still means arrived."""
+    fast = Bench(BenchConfig.from_text(default_rig_text()), BenchClock(3000.0))
+
+    async def talk() -> list[tuple[int, int]]:
+        port = TcpPort(ZaberChain(fast, theta_i=1, theta_mes=2), fast.clock)
+        await port.start()
+        idle: list[tuple[int, int]] = []
+        try:
+            reader, writer = await asyncio.open_connection("127.0.0.1", int(port.address.rsplit(":", 1)[1]))
+
+            async def ask(command: str) -> list[str]:
+                writer.write(command.encode() + b"\n")
+                return (await reader.readline()).decode().split()
+
+            await ask("/1 1 home")
+            for k in range(400):
+                target = 100_000 + 13_000 * (k % 2)
+                while "BUSY" in (reply := await ask("/1 1 get pos")):
+                    continue
+                if k:
+                    idle.append((int(reply[-1]), 100_000 + 13_000 * ((k - 1) % 2)))
+                await ask(f"/1 1 move abs {target}")
+            writer.close()
+            await writer.wait_closed()
+            return idle
+        finally:
+            port.close()
+
+    with asyncio.Runner(loop_factory=new_event_loop) as runner:
+        assert [pair for pair in runner.run(talk()) if pair[0] != pair[1]] == []
 
 
 def test_timers_are_finer_than_a_millisecond() -> None:
