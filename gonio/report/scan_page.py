@@ -207,8 +207,12 @@ def _signed(value: float) -> str:
 
 
 def _counted(within: int, count: int) -> str | Markup:
+    """Return the count, marked where it is less than 95 % by more than chance (2.6 standard deviations)."""
     text = f"{within} of {count}"
-    return text if within >= 0.95 * count else Markup('<span class="bad">{}</span>').format(text)
+    expected, spread = 0.95 * count, (0.95 * 0.05 * count) ** 0.5
+    if within >= expected - 2.6 * spread:
+        return text
+    return Markup('<span class="bad">{}</span>').format(text)
 
 
 def _notes(fit: FitResult | None) -> list[Block]:

@@ -11,7 +11,7 @@ from gonio.errors import StoreError
 from gonio.report import style
 from gonio.report.content import Event
 from gonio.report.page import make_folder, with_uncertainty, write_page
-from gonio.report.scan_page import scan_page
+from gonio.report.scan_page import _counted, scan_page
 
 
 class Elements(html.parser.HTMLParser):
@@ -351,3 +351,8 @@ def test_a_folder_that_cannot_be_made_is_one_clear_message(tmp_path):
         StoreError, match=r"taken: the report's folder cannot be made .* choose another with -o"
     ):
         make_folder(tmp_path / "taken")
+
+
+@pytest.mark.parametrize(("within", "marked"), [(56, False), (52, False), (48, True), (0, True)])
+def test_agreement_is_marked_only_where_chance_does_not_explain_it(within, marked):
+    assert ("bad" in _counted(within, 56)) is marked
