@@ -29,9 +29,9 @@ class BenchClock:
     def hold(self) -> None:
         """Let the clock show the present instant until `release`.
 
-        An instrument takes all that one reply says at one instant.  At speed 4000 the 50 us in which a reply is
-        put together are 0.2 bench seconds: a position read at their beginning and an idle flag read at their end
-        would tell of an arm that came to rest where it never stood.
+        An instrument takes all that one reply says at one instant.  At speed 4000 the 50 us in which a reply
+        is put together are 0.2 bench seconds: a position read at their beginning and an idle flag read at
+        their end would tell of an arm that came to rest where it never stood.
         """
         self._held_s = self.now_s()
 

@@ -75,12 +75,15 @@ def test_the_sphere_agrees(demo: Demo) -> None:
 
 def test_the_facade_adds_up(demo: Demo) -> None:
     irradiance = product.facade.load_irradiance(demo.folder / "facade.h5")
-    total = sum(part.value for part in irradiance.contributions.values())
-    np.testing.assert_allclose(total, irradiance.value, rtol=1e-9)
-    assert np.all(irradiance.contributions["specular"].value >= 0)
-    assert (
-        irradiance.contributions["specular"].value.max() > 1.0
-    )  # W/m2: the glossy wall does send sun across the street
+    assert [receiver.name for receiver in irradiance.receivers] == ["left", "right", "ground"]
+    for receiver in irradiance.receivers:
+        total = sum(part.value for part in receiver.contributions.values())
+        np.testing.assert_allclose(total, receiver.value, rtol=1e-9)
+        assert np.all(receiver.contributions["specular"].value >= 0)
+        assert np.all(receiver.standard_error > 0)
+    # W/m2: the sun lights the right facade, whose gloss sends some across the street to the left one
+    assert irradiance["left"].contributions["direct"].value.max() == 0
+    assert irradiance["left"].mean_contributions["specular"].value > 5
 
 
 def test_the_report_is_one_page_on_its_own(demo: Demo) -> None:
