@@ -294,10 +294,11 @@ def default_rig_text() -> str:
     return resources.files("gonio").joinpath("data/arta.toml").read_text(encoding="utf-8")
 
 
-def load_rig(path: Path | None = None) -> RigConfig:
+def load_rig(path: str | Path | None = None) -> RigConfig:
     """Return the validated rig file, or the simulated ARTA without one; `ConfigError` lists every mistake."""
     if path is None:
         return parse_rig(default_rig_text(), source="arta.toml (built in)")
+    path = Path(path)
     read_toml(path)  # for its message if the file cannot be read
     return parse_rig(path.read_text(encoding="utf-8"), source=str(path))
 

@@ -276,7 +276,7 @@ class Plan(Strict):
         return parse_plan(text, source="hpl.toml (built in)")
 
 
-def load_plan(path: Path) -> Plan:
+def load_plan(path: str | Path) -> Plan:
     """Return the validated plan file; `ConfigError` lists every mistake."""
     path = Path(path)
     return validate(Plan, read_toml(path), source=str(path))

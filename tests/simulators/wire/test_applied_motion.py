@@ -23,7 +23,7 @@ class Master:
             bench,
             theta_i=1,
             theta_mes=2,
-            steps_per_turn=(20000.0, 20000.0),
+            steps_per_rev=(20000.0, 20000.0),
             framing="rtu",
             word_order=word_order,
         )
@@ -189,7 +189,7 @@ def test_a_refused_write_changes_nothing(bench: StillBench) -> None:
 
 
 def test_input_registers_read_the_same(bench: StillBench) -> None:
-    drive = Drive(bench.theta_i, steps_per_turn=20000.0, word_order="big")
+    drive = Drive(bench.theta_i, steps_per_rev=20000.0, word_order="big")
     holding = drive.answer(struct.pack(">BHH", 3, 0, 8))
     assert drive.answer(struct.pack(">BHH", 4, 0, 8)) == b"\x04" + holding[1:]
 
