@@ -22,6 +22,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+
 from gonio.acquire import Runner
 from gonio.acquire.journal import Journal
 from gonio.acquire.session import Session

@@ -13,6 +13,7 @@ from collections.abc import Callable
 
 import mpmath as mp
 import numpy as np
+
 from gonio.aperture import Aperture
 
 ARTA = Aperture(26.0, 18.0, 95.2353)

@@ -16,6 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+
 from gonio.facade import Irradiance, Optics, Scene, Sun, simulate, street
 
 REFERENCE = Path(__file__).parents[1] / "tests" / "core" / "facade" / "canyon.csv"

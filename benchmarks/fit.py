@@ -12,10 +12,11 @@ import argparse
 import time
 
 import numpy as np
+from numpy.typing import NDArray
+
 from gonio.aperture import Aperture
 from gonio.fitting import fit_readings
 from gonio.fitting.problem import Problem, published_jacobian
-from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 ARTA = Aperture(26.0, 18.0, 95.2353)

@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+
 from gonio.aperture import Aperture
 from gonio.brdf import PublishedLobe
 from gonio.fitting import fit_readings

@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Self
 
+from pydantic import Field, model_validator
+
 from gonio.config import Count, Positive
 from gonio.errors import DeviceError, MotionError
 from gonio.rig import SIMULATED, Context, Driver, StageConfig
-from pydantic import Field, model_validator
-
 from gonio_drivers.axis import MotorAxis
 from gonio_drivers.drive import DriveState, MotorConfig
 from gonio_drivers.lines import connecting

@@ -20,7 +20,6 @@ from typing import Any
 from gonio.clock import Clock
 from gonio.errors import DeviceError, MotionError
 from gonio.rig import Context, check_path, check_target
-
 from gonio_drivers.drive import Drive, DriveState, MotorConfig, approach_legs
 from gonio_drivers.status import ThreadStatus
 

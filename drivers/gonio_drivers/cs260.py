@@ -12,11 +12,11 @@ import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Literal, Self
 
+from pydantic import Field, model_validator
+
 from gonio.config import Count, NotNegative, Positive, Strict
 from gonio.errors import DeviceError, RefusedError
 from gonio.rig import SIMULATED, Context
-from pydantic import Field, model_validator
-
 from gonio_drivers.lines import Line, connecting, open_line
 
 _REAL_REPLY_S = 2.0

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol, Self
 
+from pydantic import model_validator
+
 from gonio.config import Number
 from gonio.rig import AxisConfig
-from pydantic import model_validator
 
 
 @dataclass(frozen=True, slots=True)

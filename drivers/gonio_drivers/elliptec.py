@@ -10,12 +10,12 @@ import threading
 from collections.abc import Mapping
 from typing import Annotated
 
+from pydantic import Field
+
 from gonio.config import Count, Positive
 from gonio.devices import Polarization
 from gonio.errors import DeviceError, MotionError
 from gonio.rig import Context, Driver, PolarizerConfig
-from pydantic import Field
-
 from gonio_drivers.lines import Line, NoReply, connecting, open_line
 
 _MOVE_S = 5.0  # instrument seconds: a full turn with friction takes 2 to 3

@@ -17,7 +17,6 @@ from typing import TypeVar
 
 from gonio.errors import ConnectionFailed, DeviceError, ReplyError
 from gonio.rig import Context
-
 from gonio_drivers.transport import Port, open_port
 from gonio_drivers.wirelog import WireLog
 

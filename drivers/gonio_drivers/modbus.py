@@ -19,14 +19,14 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Literal
 
-from gonio.errors import DeviceError
-from gonio.rig import Context
 from pymodbus.client.base import ModbusBaseSyncClient
 from pymodbus.exceptions import ConnectionException, ModbusException, ModbusIOException
 from pymodbus.framer import FramerType
 from pymodbus.pdu import ExceptionResponse, ModbusPDU
 from pymodbus.transport import CommParams, CommType
 
+from gonio.errors import DeviceError
+from gonio.rig import Context
 from gonio_drivers.lines import Line, open_line
 
 Framing = Literal["rtu", "tcp"]

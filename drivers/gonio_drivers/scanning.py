@@ -13,13 +13,13 @@ from collections.abc import Callable, Mapping
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
 from gonio.config import Count
 from gonio.devices import Beam, FloatArray, Quality, SpectrumReading
 from gonio.errors import DeviceError, RefusedError, ScanStopped
 from gonio.rig import Context, DetectorConfig, Driver, SpectrometerConfig
-from numpy.typing import NDArray
-from pydantic import Field, model_validator
-
 from gonio_drivers.cs260 import CS260, CS260Config, open_cs260
 from gonio_drivers.ranges import RangeMemory
 from gonio_drivers.sr830 import FULL_SCALE_V, SR830, SR830Config, open_sr830

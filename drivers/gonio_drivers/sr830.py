@@ -15,11 +15,11 @@ import math
 from dataclasses import dataclass
 from typing import Literal, Self
 
+from pydantic import model_validator
+
 from gonio.config import Count, Number, Positive, Strict
 from gonio.errors import ConnectionFailed, DeviceError
 from gonio.rig import SIMULATED, Context
-from pydantic import model_validator
-
 from gonio_drivers.lines import Line, connecting, open_line
 
 FULL_SCALE_V = tuple(

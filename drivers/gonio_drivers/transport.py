@@ -18,6 +18,7 @@ from typing import Protocol
 from urllib.parse import urlsplit
 
 import serial
+
 from gonio.errors import ConnectionFailed
 from gonio.rig import SIMULATED
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated
 
+from pydantic import Field
+
 from gonio.config import Count, Number
 from gonio.errors import DeviceError
 from gonio.rig import Context, Driver, StageConfig
-from pydantic import Field
-
 from gonio_drivers.axis import MotorAxis
 from gonio_drivers.drive import DriveState, MotorConfig
 from gonio_drivers.lines import connecting, open_line

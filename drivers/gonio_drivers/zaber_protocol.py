@@ -14,7 +14,6 @@ import re
 from dataclasses import dataclass
 
 from gonio.errors import DeviceError, ReplyError
-
 from gonio_drivers.lines import Line
 
 _REPLY = re.compile(r"@(\d\d) (\d) (\d\d) (OK|RJ) (IDLE|BUSY) (--|[A-Z0-9]{2})(?: (.*))?$")

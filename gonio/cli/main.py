@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.metadata
+import os
 import signal
 import sys
 from pathlib import Path
@@ -64,6 +65,7 @@ def build_parser() -> argparse.ArgumentParser:
     facade.add_argument(
         "--rel-tol", type=float, default=0.01, metavar="X", help="relative standard error (default 0.01)"
     )
+    facade.add_argument("--full", action="store_true", help="leave nothing out (so far nothing ever is)")
     facade.add_argument("--seed", type=int, default=0)
     facade.add_argument("--threads", type=int, default=None)
 
@@ -104,6 +106,9 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("\ngonio: interrupted", file=sys.stderr)
         return 130
+    except BrokenPipeError:  # `gonio fit ... | head`: the reader has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
 
 
 def _terminate(_signal: int, _frame: FrameType | None) -> None:

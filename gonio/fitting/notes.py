@@ -44,9 +44,10 @@ def _of(
             parts.append(
                 f"rho_s = {rho_s:.3g} is above 1, unphysical: more light in the lobe than n2 lets reflect"
             )
-    if rho_d < 0.0:
+    rho_d_margin = _BY_CHANCE * found.se[k, 0]
+    if rho_d + rho_d_margin < 0.0:
         parts.append(f"rho_d = {rho_d:.3g} is negative, unphysical: look at the dark readings")
-    if rho_d > 1.0:
+    if rho_d - rho_d_margin > 1.0:
         parts.append(
             f"rho_d = {rho_d:.3g} is above 1, unphysical: look at the baseline and the aperture's distance"
         )

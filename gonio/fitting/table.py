@@ -68,26 +68,31 @@ def _block(
     sphere: Mapping[str, FloatArray] | None,
 ) -> list[str]:
     """Return the lines of the table of some columns."""
-    width = {name: max(len(name), _DIGITS[name] + 5) + 2 + _DIGITS[name] + 4 for name in columns}
-    head = f"{'nm':<11}" + "".join(f"{name:>{width[name]}}" for name in columns)
+    names = list(columns)
+    cells = [
+        [_entry(value[use], half[use], _DIGITS[name]) for name, (value, half) in columns.items()]
+        for _, use in rows
+    ]
+    width = [
+        3 + max(map(len, (name, *column)))
+        for name, column in zip(names, zip(*cells, strict=True), strict=True)
+    ]
+    head = f"{'nm':<11}" + "".join(f"{name:>{w}}" for name, w in zip(names, width, strict=True))
     if sphere is not None:
         head += f"{'k_g sphere':>19}{'E_n':>7}"
     lines = [head, "-" * len(head)]
-    for label, use in rows:
-        line = f"{label:<11}"
-        for name, (value, half) in columns.items():
-            line += f"{_entry(value[use], half[use], _DIGITS[name]):>{width[name]}}"
+    for (label, use), entries in zip(rows, cells, strict=True):
+        line = f"{label:<11}" + "".join(f"{entry:>{w}}" for entry, w in zip(entries, width, strict=True))
         if sphere is not None:
             line += _sphere_entry(fit, columns["k_g"], sphere, use)
         lines.append(line)
         if truth is not None and not truth.keys().isdisjoint(columns):
             line = f"{'  true':<11}"
-            for name in columns:
+            for name, entry, w in zip(names, entries, width, strict=True):
                 known = _interpolated(truth, name, fit.wavelength_nm[use])
-                text = (
-                    "" if known is None else f"{np.mean(known):.{_DIGITS[name]}f}" + " " * (_DIGITS[name] + 5)
-                )
-                line += f"{text:>{width[name]}}"
+                # under the value, not under its uncertainty
+                text = "" if known is None else f"{np.mean(known):.{_DIGITS[name]}f}"
+                line += f"{text + ' ' * max(len(entry) - entry.find(' ± '), 0):>{w}}"
             lines.append(line.rstrip())
     return lines
 
@@ -118,6 +123,8 @@ def _entry(value: FloatArray, half: FloatArray, digits: int) -> str:
     if not np.any(good):
         return "undetermined" if digits < 4 else "-"
     mean = float(np.mean(value[good]))
+    if abs(mean) >= 1e4:  # an exponent that only the edges of the lobe tell: no decimals to speak of
+        digits = 0
     sd = half[good]
     if not np.all(np.isfinite(sd)):
         return f"{mean:.{digits}f} ± {'?':<{digits + 2}}"

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from gonio.store.records import Level
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QSizePolicy, QWidget
 
+from gonio.store.records import Level
 from gonio_gui.theme import LIGHT, Theme, translucent
 
 Choice = tuple[str, Callable[[], None]]

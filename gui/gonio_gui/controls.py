@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 import math
 
-from gonio.cli.progress import readable_duration
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
     QGridLayout,
@@ -17,6 +16,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from gonio.cli.progress import readable_duration
 from gonio_gui.model import Model, Phase
 
 STOP_STYLE = (

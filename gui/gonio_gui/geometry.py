@@ -12,8 +12,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from gonio.plan import Plan
-from gonio.rig import RigConfig
 from numpy.typing import NDArray
 from PySide6.QtCore import QPointF, QRectF, Qt
 from PySide6.QtGui import (
@@ -29,6 +27,8 @@ from PySide6.QtGui import (
 )
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
+from gonio.plan import Plan
+from gonio.rig import RigConfig
 from gonio_gui.theme import LIGHT, Theme, translucent
 
 INNER_RING, OUTER_RING = 0.46, 0.90  # of the drawing's radius

@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+
 from gonio.devices import FloatArray, Polarization
 from gonio.plan import Plan, Position
 from gonio.rig import RigConfig
@@ -18,7 +20,6 @@ from gonio.store import Scan
 from gonio.store.records import PositionRecord, ReferenceRecord
 from gonio.store.reduction import Reduction
 from gonio.store.scan import UNUSABLE
-from numpy.typing import NDArray
 
 NANOMETRES_OF_INTEREST = 550.0
 """Wavelength the polar plot opens at, if the plan has it: the eye's maximum."""

@@ -20,7 +20,6 @@ from gonio.errors import RefusedError
 from gonio.plan import Plan, Refusal, check, estimate
 from gonio.rig import RigConfig
 from gonio.store.records import EventRecord, Level, PositionRecord, ReferenceRecord
-
 from gonio_gui.bench_thread import (
     AxesRead,
     Begun,

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 import pyqtgraph as pg
-from gonio.devices import FloatArray
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QVBoxLayout, QWidget
 
+from gonio.devices import FloatArray
 from gonio_gui.theme import LIGHT, SYMBOLS, Theme
 
 RAYS_DEG = range(-75, 90, 15)

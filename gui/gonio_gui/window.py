@@ -7,9 +7,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from gonio.errors import GonioError
-from gonio.plan import Plan, load_plan
-from gonio.rig import RigConfig, load_rig
 from PySide6.QtCore import QEvent, Qt, QTimer
 from PySide6.QtGui import QAction, QCloseEvent, QKeySequence, QShortcut
 from PySide6.QtWidgets import (
@@ -21,6 +18,9 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from gonio.errors import GonioError
+from gonio.plan import Plan, load_plan
+from gonio.rig import RigConfig, load_rig
 from gonio_gui.banner import BannerBar
 from gonio_gui.bench_thread import BenchThread
 from gonio_gui.collector import GuiThreadCollector

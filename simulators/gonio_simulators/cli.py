@@ -20,7 +20,6 @@ from typing import Any
 from gonio.config import parse_toml, read_toml
 from gonio.errors import ConfigError, GonioError
 from gonio.rig import default_rig_text
-
 from gonio_simulators.bench.bench import Bench
 from gonio_simulators.bench.config import BenchConfig
 from gonio_simulators.wire.lines import PtyPort, new_event_loop

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+
 from gonio.config import Positive, Strict, parse_toml, read_toml, validate
 from gonio.errors import ConfigError
 

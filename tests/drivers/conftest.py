@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+
 from gonio.clock import Clock
 from gonio.rig import Context, Rig, RigConfig, default_rig_text, load_rig, open_rig, with_addresses
-
 from gonio_drivers.lines import Line
 
 SILENCE = None

@@ -5,13 +5,13 @@ from __future__ import annotations
 import threading
 
 import pytest
-from gonio.clock import Clock
-from gonio.errors import MotionError, RefusedError, ReplyError
-from gonio.rig import Context
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from gonio.clock import Clock
+from gonio.errors import MotionError, RefusedError, ReplyError
+from gonio.rig import Context
 from gonio_drivers import axis as axis_module
 from gonio_drivers.axis import MotorAxis
 from gonio_drivers.drive import DriveState, MotorConfig, approach_legs

@@ -7,9 +7,9 @@ import time
 
 import numpy as np
 import pytest
+
 from gonio.devices import Quality
 from gonio.errors import ConnectionFailed, MotionError, RefusedError, ScanStopped
-
 from gonio_drivers.lines import Line
 
 from .conftest import STAGES, rig_text, running_bench

@@ -42,6 +42,7 @@ def test_scan_plan(bench):
 def test_a_refused_target_fails_the_plan(bench):
     from bluesky import RunEngine
     from bluesky.plan_stubs import mv
+
     from gonio.errors import RefusedError
 
     with bench.open() as rig, pytest.raises(RefusedError, match="blind zone"):

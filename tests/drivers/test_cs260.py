@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from gonio.errors import DeviceError, RefusedError, ReplyError
 from pydantic import ValidationError
 
+from gonio.errors import DeviceError, RefusedError, ReplyError
 from gonio_drivers.cs260 import CS260, CS260Config
 
 from .conftest import SILENCE

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from gonio.errors import DeviceError, MotionError, ReplyError
 
+from gonio.errors import DeviceError, MotionError, ReplyError
 from gonio_drivers.elliptec import ElliptecConfig, ElliptecRotator
 
 from .conftest import SILENCE

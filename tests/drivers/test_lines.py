@@ -5,8 +5,8 @@ from __future__ import annotations
 import itertools
 
 import pytest
-from gonio.errors import ConnectionFailed, ReplyError
 
+from gonio.errors import ConnectionFailed, ReplyError
 from gonio_drivers.lines import Line, NoReply, connecting
 
 from .conftest import SILENCE, ScriptedPort

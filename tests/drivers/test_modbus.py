@@ -5,9 +5,9 @@ from __future__ import annotations
 import struct
 
 import pytest
-from gonio.errors import DeviceError, ReplyError
 from pydantic import ValidationError
 
+from gonio.errors import DeviceError, ReplyError
 from gonio_drivers.applied_motion import (
     AppliedMotionAxisConfig,
     AppliedMotionDrive,

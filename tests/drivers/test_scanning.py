@@ -7,10 +7,10 @@ import math
 
 import numpy as np
 import pytest
+
 from gonio.devices import Quality
 from gonio.errors import ConfigError, RefusedError, ReplyError, ScanStopped
 from gonio.rig import default_rig_text, parse_rig
-
 from gonio_drivers.cs260 import CS260
 from gonio_drivers.scanning import ScanningSpectrometer
 from gonio_drivers.sr830 import SR830

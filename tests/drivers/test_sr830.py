@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 import pytest
-from gonio.errors import DeviceError, ReplyError
 from pydantic import ValidationError
 from scipy.integrate import quad, solve_ivp
 
+from gonio.errors import DeviceError, ReplyError
 from gonio_drivers.sr830 import FULL_SCALE_V, SPACING_TIME_CONSTANTS, SR830, TIME_CONSTANT_S, SR830Config
 
 from .conftest import SILENCE

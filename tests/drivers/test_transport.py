@@ -8,10 +8,10 @@ import threading
 from pathlib import Path
 
 import pytest
+
 from gonio.clock import Clock
 from gonio.errors import ConfigError, ConnectionFailed
 from gonio.rig import Context
-
 from gonio_drivers.lines import open_line
 from gonio_drivers.transport import open_port
 

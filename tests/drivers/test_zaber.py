@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from gonio.errors import DeviceError, ReplyError
 
+from gonio.errors import DeviceError, ReplyError
 from gonio_drivers.lines import NoReply
 from gonio_drivers.zaber import ZaberAxisConfig, ZaberDrive
 from gonio_drivers.zaber_protocol import Reply, ZaberLine, checksum

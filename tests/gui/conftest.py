@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
 from gonio.bench_process import served
 from gonio.plan import Plan, parse_plan
 from gonio.rig import RigConfig, default_rig_text, load_rig, parse_rig
-
 from gonio_gui.model import Phase
 from gonio_gui.window import MainWindow
 

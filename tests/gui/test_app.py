@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from gonio.errors import ConfigError
 from packaging.requirements import Requirement
 from PySide6.QtCore import QTimer
 from PySide6.QtWidgets import QApplication
 
 import gonio_gui.app
+from gonio.errors import ConfigError
 from gonio_gui.app import explain_obstacle, main, needed_packages
 from gonio_gui.model import Phase
 from gonio_gui.window import MainWindow

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gonio.plan import Plan, parse_plan
-from gonio.rig import RigConfig
 from PySide6.QtCore import QPointF
 from PySide6.QtGui import QColor, QImage
 
+from gonio.plan import Plan, parse_plan
+from gonio.rig import RigConfig
 from gonio_gui.geometry import MAX_DOTS_PER_RING, GeometryView, lay_out
 from gonio_gui.theme import LIGHT
 

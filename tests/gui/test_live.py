@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from gonio.devices import Quality
 from gonio.plan import Plan
 from gonio.rig import RigConfig
 from gonio.store.records import PositionRecord, ReferenceRecord
-
 from gonio_gui.live import LiveScan, SweepKey, broken_at
 
 DARK_V, FULL_V = 0.002, 0.8

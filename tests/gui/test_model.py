@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+
 from gonio.acquire import Snapshot, State
 from gonio.plan import Plan, parse_plan
 from gonio.rig import RigConfig
-
 from gonio_gui.bench_thread import AxesRead, Begun, Connected, Disconnected, Note, ScanEnded
 from gonio_gui.controls import time_text
 from gonio_gui.model import Model, Phase

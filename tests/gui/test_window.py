@@ -12,17 +12,17 @@ import time
 from pathlib import Path
 from typing import Any
 
-import gonio
 import h5py
 import numpy as np
 import pytest
-from gonio.acquire.journal import journal_path
-from gonio.plan import Plan
-from gonio.rig import RigConfig, default_rig_text, parse_rig
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QColor, QPalette
 from PySide6.QtWidgets import QApplication
 
+import gonio
+from gonio.acquire.journal import journal_path
+from gonio.plan import Plan
+from gonio.rig import RigConfig, default_rig_text, parse_rig
 from gonio_gui.model import Phase
 from gonio_gui.window import MainWindow
 

@@ -9,8 +9,8 @@ import math
 from typing import Self
 
 import numpy as np
-from gonio.errors import ConfigError
 
+from gonio.errors import ConfigError
 from gonio_simulators.bench.config import (
     HOME_OVERSHOOT_DEG,
     ZONE_MARGIN_DEG,

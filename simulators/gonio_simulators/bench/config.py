@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
-from gonio.config import Count, NotNegative, Number, Positive, Strict, parse_toml, read_toml, validate
-from gonio.errors import ConfigError
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+from gonio.config import Count, NotNegative, Number, Positive, Strict, parse_toml, read_toml, validate
+from gonio.errors import ConfigError
 
 Range = tuple[Positive, Positive]
 

@@ -20,7 +20,6 @@ from collections.abc import Callable
 from typing import Protocol
 
 from gonio.errors import ConfigError
-
 from gonio_simulators.clock import BenchClock
 
 HOST = "127.0.0.1"

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 from urllib.parse import urlsplit
 
-from gonio.config import Positive, validate
-from gonio.errors import ConfigError
 from pydantic import BaseModel, ConfigDict, Field
 
+from gonio.config import Positive, validate
+from gonio.errors import ConfigError
 from gonio_simulators.bench.bench import Bench
 from gonio_simulators.wire.applied_motion import AppliedMotionLine, Framing
 from gonio_simulators.wire.applied_motion_drive import WordOrder

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+
 from gonio.plan import Plan, parse_plan
 
 _PATH = Path(__file__).with_name("memory_rig.py")

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+
 from gonio.devices import Quality, SpectrumReading
 from gonio.errors import DeviceError, MotionError, ScanStopped
 from gonio.rig import (

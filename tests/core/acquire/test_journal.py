@@ -8,9 +8,13 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
-import gonio
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+import gonio
 from gonio.acquire import Runner, Snapshot, State, resume_scan
 from gonio.acquire.journal import MAGIC, Journal, decode, encode, frames, journal_path
 from gonio.acquire.lock import FileLock
@@ -25,9 +29,6 @@ from gonio.store.records import (
     RigFacts,
     ScanHeader,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 
 FACTS = RigFacts(
     "bench", 26.0, 18.0, 95.0, 90.0, 180.0, 0.0, 90.0, (DetectorFacts("pmt", "PMT", 200.0, 860.0),)

@@ -14,10 +14,11 @@ from pathlib import Path
 from types import ModuleType
 from typing import IO
 
-import gonio
 import h5py
 import numpy as np
 import pytest
+
+import gonio
 from gonio.acquire.journal import journal_path
 from gonio.plan import parse_plan
 

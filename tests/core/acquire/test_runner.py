@@ -9,10 +9,11 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import gonio
 import h5py
 import numpy as np
 import pytest
+
+import gonio
 from gonio.acquire import Runner, Snapshot, State, resume_scan, stored_rig
 from gonio.acquire.journal import Journal, journal_path
 from gonio.devices import Quality

@@ -6,6 +6,7 @@ import socket
 from pathlib import Path
 
 import pytest
+
 from gonio.rig import default_rig_text
 
 from .conftest import gonio

@@ -10,12 +10,13 @@ import sys
 import time
 from pathlib import Path
 
-import gonio as product
 import h5py
 import numpy as np
 import pytest
-from gonio.store import read_spectrum
 from scipy.stats import binom
+
+import gonio as product
+from gonio.store import read_spectrum
 
 from .conftest import Demo, gonio
 

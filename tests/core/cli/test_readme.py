@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+
 from gonio.cli.main import build_parser
 
 from .conftest import Demo, gonio
@@ -38,6 +39,12 @@ def test_commands_of_the_table_exist() -> None:
     assert actions.choices is not None
     assert named <= set(actions.choices)
     assert named >= {"plan", "scan", "fit", "facade", "report", "simulate", "devices", "gui"}
+
+
+def test_the_examples_are_what_the_demo_runs() -> None:
+    for built_in, example in (("hpl.toml", "plans/hpl.toml"), ("street.toml", "scenes/street.toml")):
+        texts = [ROOT / "gonio" / "data" / built_in, ROOT / "examples" / example]
+        assert texts[0].read_text(encoding="utf-8") == texts[1].read_text(encoding="utf-8")
 
 
 def test_links_lead_to_files() -> None:

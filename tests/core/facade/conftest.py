@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from gonio.facade import Irradiance, Optics, Scene, Sun, street
 
 Canyon = Callable[..., Scene]

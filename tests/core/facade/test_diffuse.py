@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from gonio.facade import Irradiance, Optics, Scene, Sun, Surface, simulate
 
 REFERENCE = Path(__file__).parent / "canyon.csv"

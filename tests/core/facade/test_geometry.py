@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from gonio.errors import SceneError
 from gonio.facade import Optics, Scene, Sun, Surface, box, street
 from gonio.facade.geometry import heading, pack

@@ -9,9 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import integrate
+
 from gonio import fresnel
 from gonio.facade import EnergyWarning, Optics, Scene, Sun, Surface, simulate, street
-from scipy import integrate
 
 BLACK = Optics(0.0)
 

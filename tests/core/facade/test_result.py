@@ -6,6 +6,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+
 from gonio.errors import ConfigError, SceneError, StoreError
 from gonio.facade import CONTRIBUTIONS, Irradiance, Optics, Scene, load_irradiance, simulate
 

@@ -4,13 +4,14 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import qmc
+
 from gonio import fresnel
 from gonio.facade import sampling
 from gonio.facade.sobol import DIMENSIONS, sobol_directions
 from gonio.facade.tracing import fresnel_mean
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy.stats import qmc
 
 KEY = np.uint64(0x1234_5678_9ABC_DEF0)
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from gonio.errors import SceneError
 from gonio.facade import Optics, load_scene, parse_scene, simulate
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
 from gonio.aperture import Aperture
 
 sys.path.insert(0, str(Path(__file__).parent))  # tests are no package; the helper module is found beside them

@@ -6,8 +6,9 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from gonio.aperture import Aperture
 from numpy.typing import NDArray
+
+from gonio.aperture import Aperture
 
 FloatArray = NDArray[np.float64]
 

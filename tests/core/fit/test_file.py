@@ -9,11 +9,12 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from simulated_readings import FloatArray, Positions, instrument_noise
+
 from gonio.aperture import Aperture
 from gonio.errors import GonioError, StoreError
 from gonio.fitting import FitResult, fit_readings, load_fit
 from gonio.material import Material
-from simulated_readings import FloatArray, Positions, instrument_noise
 
 TRUTH = (0.72, 1.0, 90.0, 1.5)
 

@@ -6,10 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from simulated_readings import FloatArray, Positions, fresnel_textbook, instrument_noise, plane_quadrature
+
 from gonio.aperture import Aperture
 from gonio.errors import FitError
 from gonio.fitting import FitResult, fit_readings
-from simulated_readings import FloatArray, Positions, fresnel_textbook, instrument_noise, plane_quadrature
 
 Readings = Callable[..., FloatArray]
 TRUTH = (0.72, 1.0, 90.0, 1.5)

@@ -6,11 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy import stats
+from simulated_readings import FloatArray, Positions, fresnel_textbook, instrument_noise
+
 from gonio.aperture import Aperture
 from gonio.brdf import PublishedLobe
 from gonio.fitting import fit_readings
-from scipy import stats
-from simulated_readings import FloatArray, Positions, fresnel_textbook, instrument_noise
 
 Readings = Callable[..., FloatArray]
 

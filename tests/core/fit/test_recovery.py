@@ -6,11 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
+from simulated_readings import FloatArray, Positions, fresnel_textbook, instrument_noise, plane_quadrature
+
 from gonio.aperture import Aperture, ApertureName
 from gonio.brdf import PublishedLobe
 from gonio.fitting import FitResult, fit_readings
-from scipy.optimize import least_squares
-from simulated_readings import FloatArray, Positions, fresnel_textbook, instrument_noise, plane_quadrature
 
 Readings = Callable[..., FloatArray]
 

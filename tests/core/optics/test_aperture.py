@@ -8,10 +8,11 @@ from pathlib import Path
 import mpmath as mp
 import numpy as np
 import pytest
-from gonio.aperture import Aperture, InPlaneAverage
-from gonio.errors import ConfigError
 from hypothesis import given
 from hypothesis import strategies as st
+
+from gonio.aperture import Aperture, InPlaneAverage
+from gonio.errors import ConfigError
 
 ARTA = Aperture(26.0, 18.0, 95.2353)
 REFERENCE = Path(__file__).parent / "aperture_lobe.csv"

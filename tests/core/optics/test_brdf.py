@@ -2,6 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
 from gonio.brdf import (
     Lambert,
     PublishedLobe,
@@ -15,8 +18,6 @@ from gonio.brdf import (
     reflectance_factor_from_brdf,
 )
 from gonio.fresnel import reflectance
-from hypothesis import given
-from hypothesis import strategies as st
 
 
 @pytest.mark.parametrize("theta_i_deg", [0.0, 20.0, 55.0, 80.0])

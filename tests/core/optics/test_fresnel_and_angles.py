@@ -3,10 +3,11 @@ from __future__ import annotations
 import mpmath as mp
 import numpy as np
 import pytest
-from gonio import angles, fresnel
-from gonio.errors import GonioError
 from hypothesis import given
 from hypothesis import strategies as st
+
+from gonio import angles, fresnel
+from gonio.errors import GonioError
 
 indices = st.floats(1.0, 5.0)
 incidences = st.floats(0.0, 90.0)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from gonio.plan import Plan, check, estimate, parse_plan
 from gonio.rig import (
     ApertureConfig,

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gonio.errors import ConfigError
-from gonio.plan import Plan, load_plan, parse_plan
 from hypothesis import given
 from hypothesis import strategies as st
+
+from gonio.errors import ConfigError
+from gonio.plan import Plan, load_plan, parse_plan
 
 ROOT = Path(__file__).parents[3]
 

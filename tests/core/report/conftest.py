@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+
 from gonio.aperture import Aperture
 from gonio.facade import EnergyBalance, Estimate, Irradiance, Receiver
 from gonio.report import style

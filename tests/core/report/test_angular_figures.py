@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from gonio.report import choose, style
 from gonio.report.curves import draw_curves
 from gonio.report.model import model_of

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+
 from gonio.report import maps, style
 from gonio.report.facade_page import facade_page
 from gonio.report.page import make_folder

@@ -5,6 +5,7 @@ from __future__ import annotations
 import h5py
 import numpy as np
 import pytest
+
 from gonio.errors import ConfigError, StoreError
 from gonio.fitting import fit
 from gonio.plan import Plan, parse_plan

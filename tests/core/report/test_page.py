@@ -7,6 +7,7 @@ import re
 
 import numpy as np
 import pytest
+
 from gonio.errors import StoreError
 from gonio.report import style
 from gonio.report.content import Event

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+
 from gonio.report import agreement, bands, choose, spectra
 from gonio.report.diagnostics import draw_references, draw_residuals, normalised_residual
 from gonio.report.model import model_of

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+
 from gonio.plan import Plan, parse_plan
 
 _PATH = Path(__file__).parents[1] / "acquire" / "memory_rig.py"

@@ -9,6 +9,7 @@ from types import ModuleType
 import h5py
 import numpy as np
 import pytest
+
 from gonio.acquire import Runner
 from gonio.plan import Plan, parse_plan
 from gonio.store.describe import nexus_group

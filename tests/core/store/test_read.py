@@ -12,10 +12,11 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import gonio
 import h5py
 import numpy as np
 import pytest
+
+import gonio
 from gonio.acquire import Runner, Snapshot
 from gonio.devices import Quality
 from gonio.errors import ScanStopped, StoreError

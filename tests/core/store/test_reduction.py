@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
 from gonio.devices import Quality
 from gonio.store.records import ReferenceKind, ReferenceRecord
 from gonio.store.reduction import Reduction, moving_sum, pooled_variance
-from hypothesis import given
-from hypothesis import strategies as st
 
 M = 12
 DETECTOR = np.array([0] * 5 + [1] * 7, dtype=np.uint8)

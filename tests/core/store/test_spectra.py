@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from types import ModuleType
 
-import gonio
 import h5py
 import numpy as np
 import pytest
+
+import gonio
 from gonio.acquire import Runner
 from gonio.errors import StoreError
 from gonio.plan import parse_plan

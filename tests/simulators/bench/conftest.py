@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import pytest
-from gonio.rig import default_rig_text
 
+from gonio.rig import default_rig_text
 from gonio_simulators.bench import Bench, BenchConfig
 from gonio_simulators.clock import ManualClock
 

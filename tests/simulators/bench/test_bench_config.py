@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from gonio.errors import ConfigError
 
+from gonio.errors import ConfigError
 from gonio_simulators.bench import Bench, BenchConfig
 from gonio_simulators.clock import ManualClock
 

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from gonio.rig import default_rig_text
 
+from gonio.rig import default_rig_text
 from gonio_simulators.bench.bench import Bench
 from gonio_simulators.bench.config import BenchConfig
 from gonio_simulators.clock import ManualClock

@@ -2,11 +2,10 @@
 
 from functools import cache
 
-from gonio.rig import default_rig_text
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.simulators.wire.conftest import StillBench
 
+from gonio.rig import default_rig_text
 from gonio_simulators.wire.applied_motion import AppliedMotionLine
 from gonio_simulators.wire.cs260 import Cornerstone260
 from gonio_simulators.wire.elliptec import Elliptec
@@ -14,6 +13,7 @@ from gonio_simulators.wire.lines import Instrument
 from gonio_simulators.wire.modbus_frames import mbap_frame, rtu_frame
 from gonio_simulators.wire.sr830 import Sr830
 from gonio_simulators.wire.zaber import ZaberChain
+from tests.simulators.wire.conftest import StillBench
 
 
 @cache

@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pymodbus.framer import FramerRTU
-from tests.simulators.wire.conftest import StillBench
 
 from gonio_simulators.wire.applied_motion import AppliedMotionLine
 from gonio_simulators.wire.applied_motion_drive import Drive
 from gonio_simulators.wire.modbus_frames import MbapReceiver, RtuReceiver, crc16, mbap_frame, rtu_frame
+from tests.simulators.wire.conftest import StillBench
 
 ENABLED, IN_POSITION, MOVING, ALARM, HOMING = 1 << 0, 1 << 3, 1 << 4, 1 << 9, 1 << 10
 

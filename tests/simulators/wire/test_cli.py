@@ -9,9 +9,9 @@ import sys
 from dataclasses import dataclass
 
 import pytest
-from tests.simulators.wire.conftest import rig_text
 
 from gonio_simulators.cli import main
+from tests.simulators.wire.conftest import rig_text
 
 
 @dataclass(frozen=True)

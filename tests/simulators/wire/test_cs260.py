@@ -1,9 +1,9 @@
 """The Cornerstone 260: echo, responses, status and error codes, and answers that wait for the mechanics."""
 
 import pytest
-from tests.simulators.wire.conftest import StillBench, advance_until_answered
 
 from gonio_simulators.wire.cs260 import Cornerstone260
+from tests.simulators.wire.conftest import StillBench, advance_until_answered
 
 
 @pytest.fixture

@@ -1,9 +1,9 @@
 """The Elliptec rotator: exact bytes, one answer per movement, busy in between."""
 
 import pytest
-from tests.simulators.wire.conftest import StillBench, advance_until_answered
 
 from gonio_simulators.wire.elliptec import Elliptec
+from tests.simulators.wire.conftest import StillBench, advance_until_answered
 
 
 @pytest.fixture

@@ -9,15 +9,15 @@ import time
 from collections.abc import Iterator
 
 import pytest
-from gonio.rig import default_rig_text
-from tests.simulators.wire.conftest import Client, Simulator, StillBench, running
 
+from gonio.rig import default_rig_text
 from gonio_simulators.bench.bench import Bench
 from gonio_simulators.bench.config import BenchConfig
 from gonio_simulators.clock import BenchClock
 from gonio_simulators.wire.lines import PtyPort, TcpPort, new_event_loop
 from gonio_simulators.wire.sr830 import Sr830
 from gonio_simulators.wire.zaber import ZaberChain
+from tests.simulators.wire.conftest import Client, Simulator, StillBench, running
 
 
 @pytest.fixture(scope="module")

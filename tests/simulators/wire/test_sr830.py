@@ -3,10 +3,10 @@
 import math
 
 import pytest
-from tests.simulators.wire.conftest import StillBench
 
 from gonio_simulators.wire.sr830 import Sr830
 from gonio_simulators.wire.sr830_parameters import SENSITIVITY_V, TIME_CONSTANT_S
+from tests.simulators.wire.conftest import StillBench
 
 
 @pytest.fixture

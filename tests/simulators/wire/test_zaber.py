@@ -3,10 +3,10 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.simulators.wire.conftest import StillBench, advance_until_answered
 
 from gonio_simulators.wire.zaber import ZaberChain
 from gonio_simulators.wire.zaber_message import checksum, parse_request
+from tests.simulators.wire.conftest import StillBench, advance_until_answered
 
 
 @pytest.fixture
