@@ -17,6 +17,7 @@ from gonio.cli.progress import progress_bar, readable_duration
 from gonio.errors import RefusedError, StoreError
 from gonio.plan import Plan, check, estimate, load_plan
 from gonio.rig import RigConfig, load_rig, open_rig
+from gonio.store import load
 
 
 def dry_run(plan_file: Path, rig_file: Path | None) -> int:
@@ -50,6 +51,7 @@ def scan(plan_file: Path, rig_file: Path | None, output: Path, *, wire_log: Path
     refuse_existing(output)
     with served(rig) as reachable:
         acquire(plan, reachable, output, wire_log=wire_log)
+    _say_complete(output)
     return 0
 
 
@@ -60,7 +62,18 @@ def resume(path: Path, rig_file: Path | None, *, wire_log: Path | None) -> int:
     rig = load_rig(rig_file) if rig_file is not None else stored_rig(path)
     with served(rig) as reachable:
         continue_scan(path, reachable, wire_log=wire_log)
+    _say_complete(path)
     return 0
+
+
+def _say_complete(path: Path) -> None:
+    done = load(path)
+    flagged = done.quality.size - int(done.usable.sum())
+    print(
+        f"{path}: {len(done.position)} positions x {len(done.wavelength_nm)} wavelengths, complete"
+        + (f"; {flagged} readings are flagged and not usable" if flagged else "")
+        + f"; next: gonio fit {path}"
+    )
 
 
 def refuse_bad_plan(plan: Plan, rig: RigConfig) -> None:
