@@ -422,10 +422,12 @@ def test_garbage_is_collected_in_the_gui_thread_alone(
     gc.callbacks.append(noted)
     try:
         run_to_end(qtbot, window)
-        # the bench's thread has made garbage; the timer of the GUI thread takes it
+        # enough new objects for any Python's threshold; the timer of the GUI thread takes what is garbage
+        kept: list[list[int]] = [[] for _ in range(2 * gc.get_threshold()[0])]
         qtbot.waitUntil(lambda: bool(threads), timeout=SCAN_MS)
     finally:
         gc.callbacks.remove(noted)
+    assert len(kept) == 2 * gc.get_threshold()[0]
     assert threads == {threading.main_thread()}
     assert not gc.isenabled()
     window.shut_down()
