@@ -41,7 +41,9 @@ class Scan:
         reading
     gain_u : (n, m) float64, relative standard uncertainty of `r` from the 100 % baseline, an error that all
         positions of one polarization share
-    offset_u : (n, m) float64, standard uncertainty of `r` from the dark reading, shared by all positions
+    offset_u : (n, m) float64, standard uncertainty of `r` from the dark reading, an error that all positions
+    share,
+        S and P alike: the dark is read once for both
     quality : (n, m) uint16, bits of `gonio.devices.Quality`
     time_s : (n,) float64, time of the first reading of each position since the scan began, instrument seconds
     position : (n,) int64, number of the position in the plan, from zero
