@@ -1,20 +1,19 @@
-"""What went over the wires, and when: a text file that a person reads beside the device's manual.
+"""What went over the wires, and when: appends to a text file that a person reads beside the device's manual.
 
-One record per line: real seconds since the rig was opened, role, direction, hexadecimal bytes, printable
-text::
-
-    12.345678 stage > 2f3120312030332067657420706f730a  /1 1 03 get pos\\n
-    12.345912 stage < 403031203120303320...             @01 1 03 OK IDLE -- 20000\\r\\n
+The format is `gonio.wirelog`'s; `gonio replay` serves such a file back as a device.
 """
 
 from __future__ import annotations
 
 import contextlib
+import os
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
 
 from gonio.clock import Clock
 from gonio.errors import ConfigError
+from gonio.wirelog import Direction, Opening, format_bytes, format_note
 
 
 class WireLog:
@@ -24,40 +23,60 @@ class WireLog:
     crash is in the file.
     """
 
-    def __init__(self, path: Path, role: str, address: str, clock: Clock) -> None:
+    def __init__(self, path: Path, role: str, address: str, clock: Clock, *, protocol: str) -> None:
         try:
             self._file = path.open("ab", buffering=0)
+            unfinished = path.is_file() and _ends_within_a_line(path)
         except OSError as error:
             raise ConfigError(
                 f"wire log {path}: cannot be written ({error.strerror}); choose another file"
             ) from None
         self._role = role
         self._clock = clock
-        now = datetime.now(UTC).isoformat(timespec="milliseconds")
-        self.note(f"{address} opened {now}, instrument clock x{clock.speed:g}")
+        if unfinished:  # a program was killed while it wrote: its last record must not swallow our first
+            self._append("\n")
+        self.note(Opening(protocol, address, _session(path, clock), clock.speed).text())
 
     def sent(self, data: bytes) -> None:
         """Record bytes that were sent."""
-        self._write(">", f"{data.hex()}  {_printable(data)}")
+        self._bytes(">", data)
 
     def received(self, data: bytes) -> None:
         """Record bytes as they arrived, which may be part of a reply or several."""
-        self._write("<", f"{data.hex()}  {_printable(data)}")
+        self._bytes("<", data)
 
     def note(self, text: str) -> None:
         """Record something that is not bytes."""
-        self._write("=", text)
-
-    def _write(self, direction: str, text: str) -> None:
-        # Instrument time over its speed: real seconds, with one origin for every line of the rig.
-        seconds = self._clock.now_s() / self._clock.speed
-        with contextlib.suppress(OSError, ValueError):  # a full disk or a closed log must not stop a stage
-            self._file.write(f"{seconds:.6f} {self._role} {direction} {text}\n".encode())
+        self._append(format_note(self._now_s(), self._role, text))
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
 
+    def _bytes(self, direction: Direction, data: bytes) -> None:
+        self._append(format_bytes(self._now_s(), self._role, direction, data))
 
-def _printable(data: bytes) -> str:
-    return data.decode("latin-1").encode("unicode_escape").decode("ascii")
+    def _now_s(self) -> float:
+        """Instrument time over its speed: real seconds, with one origin for every line of the rig."""
+        return self._clock.now_s() / self._clock.speed
+
+    def _append(self, text: str) -> None:
+        with contextlib.suppress(OSError, ValueError):  # a full disk or a closed log must not stop a stage
+            self._file.write(text.encode())
+
+
+@lru_cache(maxsize=64)
+def _session(path: Path, clock: Clock) -> str:
+    """The wall clock when the first line of a rig was opened, which all its lines then give; a rig has one
+    clock.
+    """
+    del path, clock
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+def _ends_within_a_line(path: Path) -> bool:
+    with path.open("rb") as file:
+        if file.seek(0, os.SEEK_END) == 0:
+            return False
+        file.seek(-1, os.SEEK_END)
+        return file.read(1) != b"\n"
