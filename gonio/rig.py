@@ -260,6 +260,7 @@ class Context:
     rig_name: str
     clock: Clock
     wire_log: Path | None = None
+    shared: dict[str, Any] = field(default_factory=dict)  # what the rig's drivers share: open lines
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from gonio.config import Count, Positive
-from gonio.errors import DeviceError, MotionError
+from gonio.errors import DeviceError, MotionError, ReplyError
 from gonio.rig import SIMULATED, Context, Driver, StageConfig
 from gonio_drivers.axis import MotorAxis
 from gonio_drivers.drive import DriveState, MotorConfig
@@ -23,7 +23,7 @@ from gonio_drivers.stage import MotorStage
 
 ALARM, STATUS, ENCODER, POSITION = 0x00, 0x01, 0x04, 0x06
 ACCELERATION, DECELERATION, VELOCITY, TARGET = 0x1B, 0x1C, 0x1D, 0x1E
-OPCODE, PARAMETER_1 = 0x7C, 0x7D
+OPCODE, PARAMETER_1, PARAMETER_5 = 0x7C, 0x7D, 0x81
 
 MOVE_ABSOLUTE = 0x67  # FP
 STOP = 0xE1  # SK
@@ -33,6 +33,9 @@ RESET_ALARM = 0xBA  # AX
 ENABLE = 0x9F  # ME
 
 ENABLED, FAULT, MOVING, JOGGING, STOPPING, ALARMED, HOMING = (1 << bit for bit in (0, 2, 4, 5, 6, 9, 10))
+
+MARK = 0x5AA5
+"""Written to a register that no command here uses: a drive that was switched off has forgotten it."""
 
 ACCELERATION_UNITS_PER_RPS_S = 6.0
 VELOCITY_UNITS_PER_RPS = 240.0
@@ -87,6 +90,7 @@ class AppliedMotionDrive:
     """One Modbus unit; a `gonio_drivers.axis.Drive`."""
 
     start_latency_s = 0.1  # between the confirmation of the opcode and the first poll that says moving
+    reports_reference = False  # no status bit tells of it
 
     def __init__(
         self, line: ModbusLine, name: str, config: AppliedMotionAxisConfig, *, referenced: bool
@@ -105,15 +109,9 @@ class AppliedMotionDrive:
             "acceleration_deg_s2", config.acceleration_deg_s2 * revs_per_deg * ACCELERATION_UNITS_PER_RPS_S
         )
         velocity = self._units("speed_deg_s", config.speed_deg_s * revs_per_deg * VELOCITY_UNITS_PER_RPS)
-        wanted = [acceleration, acceleration, velocity]
-        line.write(self._unit, ACCELERATION, wanted)
-        got = line.read(self._unit, ACCELERATION, 3)
-        if got != wanted:
-            raise DeviceError(
-                self.device,
-                f"was told acceleration, deceleration, velocity = {wanted} and reads {got}",
-                "correct speed_deg_s and acceleration_deg_s2 in the rig file",
-            )
+        self._profile = [acceleration, acceleration, velocity]
+        self._set_speeds()
+        self._marks = self._keeps_mark()
 
     def describe(self) -> str:
         """Return what is known of the drive, which has no register for its model."""
@@ -153,9 +151,44 @@ class AppliedMotionDrive:
         self._line.write_one(self._unit, OPCODE, SET_POSITION)
         self._referenced = True
 
+    def resume(self) -> None:
+        """Find out whether the drive was switched off, and set its speeds again."""
+        if self.confirm() is not None:
+            self._referenced = False
+        self._set_speeds()
+        self._marks = self._keeps_mark()
+
+    def confirm(self) -> str | None:
+        """Look for the mark: a drive that was switched off counts from zero again, wherever it stands."""
+        if self._marks:
+            forgotten = self._line.read(self._unit, PARAMETER_5, 1) != [MARK]
+        else:
+            forgotten = self._line.read(self._unit, ACCELERATION, 3) != self._profile
+        return "it was switched off and on, and has lost its reference" if forgotten else None
+
     def stop(self) -> None:
         """Decelerate and stop; sent again if the reply fails, a stop can be repeated without harm."""
         self._line.line.query(lambda: self._line.write_one(self._unit, OPCODE, STOP))
+
+    def _set_speeds(self) -> None:
+        self._line.write(self._unit, ACCELERATION, self._profile)
+        got = self._line.read(self._unit, ACCELERATION, 3)
+        if got != self._profile:
+            raise DeviceError(
+                self.device,
+                f"was told acceleration, deceleration, velocity = {self._profile} and reads {got}",
+                "correct speed_deg_s and acceleration_deg_s2 in the rig file",
+            )
+
+    def _keeps_mark(self) -> bool:
+        """Leave the mark; False for a drive whose parameter registers do not keep what is written."""
+        try:
+            self._line.write_one(self._unit, PARAMETER_5, MARK)
+            return self._line.read(self._unit, PARAMETER_5, 1) == [MARK]
+        except ReplyError:
+            raise
+        except DeviceError:  # a Modbus exception: it has no such register
+            return False
 
     def _units(self, key: str, value: float) -> int:
         units = round(value)

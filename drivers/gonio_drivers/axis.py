@@ -82,6 +82,8 @@ class MotorAxis:
         self._stands_at_steps: int | None = (
             None  # target of the last verified move, until something disturbs it
         )
+        self._rests_at_deg: float | None = None  # read-back of the last verified move, until the next begins
+        self._doubts: str | None = None  # why the count may not be true any more
         self._stop_asked = threading.Event()
         self._command_lock = threading.Lock()  # between a stop and a command that starts a motion
         self._poll_lock = threading.Lock()
@@ -126,11 +128,13 @@ class MotorAxis:
         if self._stands_at_steps == self._steps(target_deg) and self._is_at(here_deg, target_deg):
             self._move = _Move(target_deg, (), result_deg=here_deg)
             return
+        if self._rests_at_deg is not None and not self._drive.reports_reference:
+            self._expect_at_rest(here_deg)
         legs_deg = approach_legs(self._config, here_deg, target_deg)
         for begin_deg, end_deg in zip((here_deg, *legs_deg), legs_deg, strict=False):
             check_target(self._name, self._config, end_deg, rig_name=self._rig_name)
             check_path(self._name, self._config, begin_deg, end_deg, rig_name=self._rig_name)
-        self._stands_at_steps = None
+        self._stands_at_steps = self._rests_at_deg = None
         move = _Move(target_deg, legs_deg)
         self._begin_leg(move, here_deg)
         self._move = move
@@ -166,15 +170,57 @@ class MotorAxis:
     def start_home(self) -> None:
         """Begin the search for the reference switch; `wait` completes it."""
         self._stop_asked.clear()
-        self._stands_at_steps = None
+        self._stands_at_steps = self._rests_at_deg = None
         self._drive.clear_faults()
         move = _Move(self._config.zero_deg, (self._config.zero_deg,), homing=True)
         self._begin_leg(move, None)
         self._move = move
 
     def needs_home(self) -> bool:
-        """Say whether the drive has no valid reference."""
-        return not self._drive.state().referenced
+        """Say whether the drive has no valid reference, or its count is in doubt."""
+        return self._doubts is not None or not self._drive.state().referenced
+
+    def verify_still(self, expected_deg: float) -> float:
+        """Return the position read back if the axis stands where it stood, within its tolerance.
+
+        Raises
+        ------
+        MotionError
+            It moves, has a fault, has lost its reference, or stands elsewhere.
+        """
+        state = self._drive.state()
+        here_deg = self._degrees(state.position_steps)
+        if state.fault is not None or state.moving or not state.referenced:
+            what = state.fault or ("is moving" if state.moving else "has lost its reference")
+            raise self._distrusted(
+                f"{what}; it stood at {expected_deg:.3f} deg and is at {here_deg:.3f} deg", state.remedy
+            )
+        if not self._is_at(here_deg, expected_deg):
+            raise self._distrusted(
+                f"is at {here_deg:.3f} deg although it was left at {expected_deg:.3f} deg",
+                "leave the stage alone while it measures, then repeat",
+            )
+        return here_deg
+
+    def recover(self) -> str | None:
+        """Bring the axis to rest after a failure, set its drive up again and clear its faults.
+
+        Returns why it must be homed before it may be used again, None if its count is still true.  Raises
+        `DeviceError` if the drive does not answer, is another one, or keeps its fault.
+        """
+        self._move = None
+        self._stands_at_steps = self._rests_at_deg = None
+        self._drive.stop()
+        if self._drive.state().moving:
+            self._come_to_rest()
+        self._drive.resume()
+        self._drive.clear_faults()
+        state = self._drive.state()
+        if state.fault is not None:
+            raise MotionError(self._drive.device, state.fault, state.remedy)
+        if not state.referenced:
+            return self._doubts or "it had lost its reference"
+        return self._doubts
 
     def stop(self, *, success: bool = False) -> None:
         """Stop now; callable from any thread, at any time, any number of times.
@@ -239,18 +285,38 @@ class MotorAxis:
                 raise MotionError(self._drive.device, "is still moving", "wait for it or stop it first")
             state = self._come_to_rest()
         if state.fault is not None:
-            self._stands_at_steps = None
+            self._stands_at_steps = self._rests_at_deg = None
             self._drive.clear_faults()
             state = self._drive.state()
         if state.fault is not None:
             raise MotionError(self._drive.device, state.fault, state.remedy)
         if not state.referenced:
-            raise MotionError(
-                self._drive.device,
+            raise self._distrusted(
                 "has lost its reference (it was switched off, or never homed)",
                 "free its way and home it, which opening the rig again does",
             )
+        if self._doubts is not None:
+            raise self._distrusted(
+                f"may have lost count ({self._doubts})",
+                "free its way and home it, which opening the rig again does",
+            )
         return state
+
+    def _distrusted(self, fault: str, remedy: str) -> MotionError:
+        """Return the error for an axis whose count is not to be trusted until it has been homed."""
+        self._doubts = self._doubts or fault
+        self._stands_at_steps = self._rests_at_deg = None
+        return MotionError(self._drive.device, fault, remedy)
+
+    def _expect_at_rest(self, here_deg: float) -> None:
+        """A drive that cannot say whether it was switched off, and has another count now, may have been."""
+        assert self._rests_at_deg is not None
+        if not self._is_at(here_deg, self._rests_at_deg):
+            raise self._distrusted(
+                f"reads {here_deg:.3f} deg although left at {self._rests_at_deg:.3f} deg: it was moved by "
+                "hand, or switched off and on",
+                "leave the stage alone, then home it",
+            )
 
     def _come_to_rest(self) -> DriveState:
         """Wait for the end of a deceleration after a stop."""
@@ -321,8 +387,7 @@ class MotorAxis:
         if state.fault is not None and not (state.moving and (stop_asked or move.homing)):
             if state.moving:
                 self._stop_quietly()
-            raise MotionError(
-                self._drive.device,
+            raise self._distrusted(
                 f"{state.fault}; it stands at {here_deg:.3f} deg on its way to {move.target_deg:g} deg",
                 state.remedy,
             )
@@ -347,11 +412,16 @@ class MotorAxis:
             here_deg = self._degrees(state.position_steps)
         if not self._arrived(move, state, here_deg):
             what = "ended the search for its reference" if move.homing else "is idle"
-            raise MotionError(
-                self._drive.device,
+            raise self._distrusted(
                 f"{what} at {here_deg:.3f} deg instead of {aim_deg:g} +- {self._config.tolerance_deg:g} deg",
                 "look for an obstacle, a stall or a hand on the knob; then home the axis and repeat",
             )
+        if (why := self._drive.confirm()) is not None:
+            raise self._distrusted(
+                f"{why}; it reads {here_deg:.3f} deg", "check its power supply, then home the axis and repeat"
+            )
+        if move.homing:
+            self._doubts = None
         if move.leg + 1 < len(move.legs_deg):
             move.leg += 1
             self._begin_leg(move, here_deg)
@@ -360,6 +430,7 @@ class MotorAxis:
             move.settled = True
         else:
             self._stands_at_steps = None if move.homing else self._steps(move.target_deg)
+            self._rests_at_deg = here_deg
             move.result_deg = here_deg
 
     def _arrived(self, move: _Move, state: DriveState, here_deg: float) -> bool:

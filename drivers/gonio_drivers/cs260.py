@@ -272,6 +272,6 @@ def open_cs260(config: CS260Config, context: Context) -> CS260:
     DeviceError
         The instrument does not answer.
     """
-    line = open_line("monochromator", config.address, context, baudrate=config.baudrate)
+    line = open_line("monochromator", config.address, context, protocol="cs260", baudrate=config.baudrate)
     with connecting(line):
         return CS260(config, context, line)

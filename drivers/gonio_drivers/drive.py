@@ -35,6 +35,14 @@ class Drive(Protocol):
         """Instrument seconds for which the drive may still say idle after it has accepted a move."""
         ...
 
+    @property
+    def reports_reference(self) -> bool:
+        """Whether the controller itself says that its count has lost its reference.
+
+        If not, a position that has changed while the axis stood still is taken for a lost reference.
+        """
+        ...
+
     def state(self) -> DriveState:
         """Ask for position, motion and faults."""
         ...
@@ -57,6 +65,21 @@ class Drive(Protocol):
 
     def stop(self) -> None:
         """Decelerate and stop."""
+        ...
+
+    def resume(self) -> None:
+        """Make sure that this is the same drive as before and set again what it forgets when it is switched
+        off; called after its line was opened anew.  A drive that was switched off must say so afterwards by
+        `state` (``referenced`` False).
+        """
+        ...
+
+    def confirm(self) -> str | None:
+        """Return why the count cannot be trusted although `state` looks well, None if it can.
+
+        Called once at the end of each motion; a drive whose `state` says everything returns None without
+        asking.
+        """
         ...
 
 

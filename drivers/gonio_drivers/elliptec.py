@@ -207,7 +207,7 @@ def open_polarizer(config: ElliptecConfig, context: Context) -> ElliptecRotator:
     DeviceError
         The module does not answer, is another one, or does not turn.
     """
-    line = open_line("polarizer", config.address, context, baudrate=config.baudrate)
+    line = open_line("polarizer", config.address, context, protocol="elliptec", baudrate=config.baudrate)
     with connecting(line):
         return ElliptecRotator(config, context, line)
 

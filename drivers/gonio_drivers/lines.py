@@ -1,9 +1,13 @@
 """How is one request matched with its own reply: deadlines, framing, and what is done when a reply fails to
 come.
 
-A late reply must never be taken for the answer to the next request.  After any timeout or damaged reply a
-line is *in doubt*: before the next request it is read until it is quiet, and the protocol then proves by a
-request whose answer cannot be mistaken that both ends are in step again (`Line.transaction`).
+A late reply must never be taken for the answer to the next request.  After any timeout, damaged reply or
+bytes that nobody asked for, a line is *in doubt*: before the next request it is read until it is quiet, and
+the protocol then proves by a request whose answer cannot be mistaken that both ends are in step again
+(`Line.transaction`).
+
+A *lost* connection stays lost until `Line.renew`: the device behind it may have been switched off meanwhile,
+so nothing goes on by itself before its driver has read its state again (`gonio.devices.Recoverable`).
 """
 
 from __future__ import annotations
@@ -17,7 +21,8 @@ from typing import TypeVar
 
 from gonio.errors import ConnectionFailed, DeviceError, ReplyError
 from gonio.rig import Context
-from gonio_drivers.transport import Port, open_port
+from gonio.wirelog import GAVE_UP, LOST
+from gonio_drivers.transport import Opener, Port
 from gonio_drivers.wirelog import WireLog
 
 REPLY_TIMEOUT_S = 2.0
@@ -47,6 +52,7 @@ class ReplyStatistics:
     damaged: int = 0
     stale_bytes: int = 0  # arrived when nothing was asked, or belonged to another request; thrown away
     retries: int = 0
+    reconnects: int = 0
 
     @property
     def mean_s(self) -> float:
@@ -67,11 +73,14 @@ class Line:
     log: WireLog | None = None
     reply_timeout_s: float = REPLY_TIMEOUT_S
     statistics: ReplyStatistics = field(default_factory=ReplyStatistics)
+    reopen: Callable[[], Port] | None = None  # how `renew` gets a new port; without it there is only this one
 
     def __post_init__(self) -> None:
         self._lock = threading.RLock()
         self._buffer = bytearray()
         self._in_doubt = False
+        self._lost_by: str | None = None  # what ended the connection
+        self._users = 1
         self._closed = False
         self._sent_s = 0.0
 
@@ -95,12 +104,19 @@ class Line:
         ------
         ReplyError
             The line did not become quiet, or `prove` failed; the line stays in doubt.
+        ConnectionFailed
+            The connection has been lost, and `renew` has not been called since.
         """
         with self._lock:
+            if self._lost_by is not None:
+                raise self._connection_lost()
+            if not self._in_doubt:
+                self._look_for_unasked(in_doubt=prove is not None)
             if self._in_doubt:
                 self._drain_until_quiet()
                 if prove is not None:
                     prove()
+                self._look_for_unasked(in_doubt=False)
                 self._in_doubt = False
             try:
                 yield
@@ -111,10 +127,8 @@ class Line:
                 raise
 
     def send(self, data: bytes) -> None:
-        """Send a request, after throwing away anything that was not asked for."""
-        if unasked := bytes(self._buffer) + self.receive(0.0):
-            self._discard(unasked)
-            self._buffer.clear()
+        """Send a request; what is left of earlier replies is thrown away."""
+        self._buffer.clear()
         self._sent_s = time.monotonic()
         try:
             self.port.write(data)
@@ -177,6 +191,8 @@ class Line:
         """Return the error for a reply that did not come; the line is in doubt from here."""
         self._in_doubt = True
         self.statistics.timeouts += 1
+        if self.log is not None:
+            self.log.note(f"{GAVE_UP}: no complete reply within {timeout_s:.3g} s")
         got = f" (only {so_far!r} came)" if so_far else ""
         return NoReply(
             self.device,
@@ -209,10 +225,47 @@ class Line:
                 self.statistics.retries += 1
         raise AssertionError("attempts must be positive")
 
-    def close(self) -> None:
-        """Release the port; any number of times."""
+    def renew(self) -> bool:
+        """Open the port anew if the connection is lost or in doubt, in one attempt; say whether it was.
+
+        The caller must then read the device's state again: it may have been switched off, or be another one.
+
+        Raises
+        ------
+        ConnectionFailed
+            It cannot be opened (yet), or the line has been closed for good.
+        """
         with self._lock:
-            if self._closed:
+            if not self._users:
+                raise ConnectionFailed(self.device, "the line has been closed", "open the rig again")
+            if self._lost_by is None and not self._in_doubt:
+                return False
+            self._in_doubt = True
+            if self.reopen is None:
+                if self._lost_by is not None:
+                    raise self._connection_lost()
+                return True
+            self._lost_by = self._lost_by or "it was closed to be opened anew"
+            self.port.close()
+            self.port = self.reopen()
+            self._buffer.clear()
+            self._lost_by = None
+            self.statistics.reconnects += 1
+            if self.log is not None:
+                self.log.note("connection opened anew")
+            return True
+
+    def share(self) -> bool:
+        """Count one user more, who closes the line as well; False if it has been closed."""
+        with self._lock:
+            self._users += not self._closed
+            return not self._closed
+
+    def close(self) -> None:
+        """Release the port when its last user has; any number of times after that."""
+        with self._lock:
+            self._users = max(0, self._users - 1)
+            if self._users or self._closed:
                 return
             self._closed = True
             self.port.close()
@@ -221,9 +274,21 @@ class Line:
                 self.log.note(
                     f"closed after {s.replies} replies, mean {s.mean_s * 1e3:.3f} ms, longest "
                     f"{s.longest_s * 1e3:.3f} ms, {s.timeouts} timeouts, {s.damaged} damaged, "
-                    f"{s.stale_bytes} stale bytes, {s.retries} retries"
+                    f"{s.stale_bytes} stale bytes, {s.retries} retries, {s.reconnects} reconnections"
                 )
                 self.log.close()
+
+    def _look_for_unasked(self, *, in_doubt: bool) -> None:
+        """Throw away what came since the last reply, and say so if more of it may be on its way.
+
+        A reply that came twice, or an answer to nothing: the next bytes may again be those of another
+        request, which only a number in the reply or a proof can tell.  Line ends are no bytes to doubt.
+        """
+        if unasked := bytes(self._buffer) + self.receive(0.0):
+            self._buffer.clear()
+            if unasked.strip(b"\r\n \0"):
+                self._discard(unasked)
+                self._in_doubt = in_doubt
 
     def _drain_until_quiet(self) -> None:
         self._discard(bytes(self._buffer))
@@ -246,10 +311,16 @@ class Line:
 
     def _lost(self, error: Exception) -> ConnectionFailed:
         self._in_doubt = True
+        self._lost_by = str(error)
+        if self.log is not None:
+            self.log.note(f"{LOST} ({error})")
+        return self._connection_lost()
+
+    def _connection_lost(self) -> ConnectionFailed:
         return ConnectionFailed(
             self.device,
-            f"the connection was lost ({error})",
-            "check cable and power, then start again; a scan goes on with --resume",
+            f"the connection was lost ({self._lost_by})",
+            "check cable and power; a scan goes on by itself once it is back, or with --resume",
         )
 
 
@@ -275,24 +346,45 @@ def open_line(
     address: str,
     context: Context,
     *,
+    protocol: str = "raw",
     baudrate: int = 9600,
     reply_timeout_s: float = REPLY_TIMEOUT_S,
 ) -> Line:
     """Open an address as a `Line`, logged if the context asks for it.
 
+    Devices of one rig that give the same address share one line: one port, one lock.
+
     Raises
     ------
     ConnectionFailed
-        The address cannot be opened.
+        The address cannot be opened, or a device of the rig that speaks otherwise is connected there.
     ConfigError
         The log cannot be written.
     """
-    log = WireLog(context.wire_log, role, address, context.clock) if context.wire_log is not None else None
+    key = f"line {address}"
+    shared: Line | None
+    shared, speech = context.shared.get(key, (None, None))
+    if shared is not None and shared.share():
+        if speech != (protocol, baudrate):
+            shared.close()
+            raise ConnectionFailed(
+                f"{role} at {address}",
+                f"the {shared.role} is connected there already ({speech[0]} at {speech[1]} baud, not "
+                f"{protocol} at {baudrate})",
+                "correct the addresses in the rig file",
+            )
+        return shared
+    log = None
+    if context.wire_log is not None:
+        log = WireLog(context.wire_log, role, address, context.clock, protocol=protocol)
+    opener = Opener(role, address, baudrate)
     try:
-        port = open_port(role, address, baudrate=baudrate)
+        port = opener()
     except BaseException as error:
         if log is not None:
             log.note(str(error))
             log.close()
         raise
-    return Line(port, role, address, log, reply_timeout_s)
+    line = Line(port, role, address, log, reply_timeout_s, reopen=opener)
+    context.shared[key] = line, (protocol, baudrate)
+    return line

@@ -1,4 +1,4 @@
-"""Holding registers over Modbus RTU (serial, or RTU frames over TCP) and Modbus TCP; every pymodbus call is
+"""Registers and coils over Modbus RTU (serial, or RTU frames over TCP) and Modbus TCP; every pymodbus call is
 here.
 
 pymodbus builds and parses the frames; the bytes travel over our own `Line`, so that deadlines, log, lock and
@@ -8,15 +8,16 @@ RTU, take a reply that is 50 ms late for the answer to the next request: RTU has
 * nothing is repeated inside pymodbus (``retries=0``): a repeated write could start a motion twice;
 * a reply must have the function, address and length of its request;
 * after a timeout or a damaged reply the line is read until quiet and a canary is read: a number of registers
-that no
-  other request asks for, so that only its own reply can have its length.
+  that no other request asks for, so that only its own reply can have its length.
 """
 
 from __future__ import annotations
 
+import itertools
 import logging
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 from pymodbus.client.base import ModbusBaseSyncClient
@@ -31,9 +32,24 @@ from gonio_drivers.lines import Line, open_line
 
 Framing = Literal["rtu", "tcp"]
 WordOrder = Literal["big", "little"]
+ReadFunction = Literal[1, 2, 3, 4]  # coils, discrete inputs, holding registers, input registers
 
 CANARY_REGISTER = 0x00
 CANARY_COUNT = 7  # asked by nothing else, see the module's docstring
+
+
+@dataclass(frozen=True, slots=True)
+class Canary:
+    """The request that proves that both ends are in step; function 8 is a loopback of changing bytes."""
+
+    function: Literal[1, 2, 3, 4, 8] = 3
+    address: int = CANARY_REGISTER
+    count: int = CANARY_COUNT
+
+
+LOOPBACK = Canary(8, 0, 0)
+
+_CANARY = Canary()
 
 _EXCEPTIONS = {
     1: ("does not know this function", "check the model and firmware of the drive"),
@@ -86,9 +102,22 @@ class ModbusLine:
         self._word_order = word_order
         self._frame_gap_s = frame_gap_s
         self._last_s = 0.0
+        self._canaries: dict[int, Canary | None] = {}
+        self._loopbacks = itertools.count(1)
+        client = self._client
+        self._reads = {
+            1: client.read_coils,
+            2: client.read_discrete_inputs,
+            3: client.read_holding_registers,
+            4: client.read_input_registers,
+        }
 
-    def read(self, unit: int, address: int, count: int) -> list[int]:
-        """Return `count` holding registers (function 3), each 0...65535; repeated once if the reply fails.
+    def use_canary(self, unit: int, canary: Canary | None) -> None:
+        """Prove with another request than 7 registers from 0; None where the framing numbers its replies."""
+        self._canaries[unit] = canary
+
+    def read(self, unit: int, address: int, count: int, *, function: ReadFunction = 3) -> list[int]:
+        """Return `count` registers, each 0...65535, or bits, each 0 or 1; repeated once if the reply fails.
 
         Raises
         ------
@@ -97,22 +126,31 @@ class ModbusLine:
         DeviceError
             The unit answered with a Modbus exception.
         """
-        if count == CANARY_COUNT:
-            raise ValueError(f"{CANARY_COUNT} registers is the length kept for the canary")
-        return self.line.query(lambda: self._read(unit, address, count))
+        canary = self._canaries.get(unit, _CANARY)
+        if canary is not None and count == canary.count and function == canary.function:
+            raise ValueError(f"{count} registers is the length kept for the canary")
+        return self.line.query(lambda: self._read(unit, address, count, function))
 
-    def _read(self, unit: int, address: int, count: int) -> list[int]:
+    def _read(self, unit: int, address: int, count: int, function: ReadFunction) -> list[int]:
         with self.line.transaction(lambda: self._prove(unit)):
-            return self._read_now(unit, address, count)
+            return self._read_now(unit, address, count, function)
 
-    def _read_now(self, unit: int, address: int, count: int) -> list[int]:
-        reply = self._asked(lambda: self._client.read_holding_registers(address, count=count, device_id=unit))
-        if reply.function_code != 3 or len(reply.registers) != count:
+    def _read_now(self, unit: int, address: int, count: int, function: ReadFunction) -> list[int]:
+        read = self._reads[function]
+        reply = self._asked(lambda: read(address, count=count, device_id=unit))
+        if function >= 3:
+            values = list(reply.registers)
+            complete = len(values) == count
+        else:  # bits come eight to a byte
+            values = [int(bit) for bit in reply.bits[:count]]
+            complete = len(reply.bits) == (count + 7) // 8 * 8
+        if reply.function_code != function or not complete:
+            what = "registers" if function >= 3 else "bits"
             raise self.line.damaged(
-                _shown(reply), f"not the {count} registers asked of unit {unit} at 0x{address:02X}"
+                _shown(reply), f"not the {count} {what} asked of unit {unit} at 0x{address:02X}"
             )
         self.line.answered()
-        return list(reply.registers)
+        return values
 
     def write(self, unit: int, address: int, values: Sequence[int]) -> None:
         """Write several registers (function 16), once.
@@ -138,6 +176,19 @@ class ModbusLine:
                 raise self.line.damaged(_shown(reply), f"not the confirmation of a write to 0x{address:02X}")
             self.line.answered()
 
+    def write_coil(self, unit: int, address: int, on: bool) -> None:
+        """Set or reset one coil (function 5), once; raises as `write`."""
+        with self.line.transaction(lambda: self._prove(unit)):
+            reply = self._asked(lambda: self._client.write_coil(address, on, device_id=unit))
+            if (reply.function_code, reply.address, reply.bits[:1]) != (5, address, [on]):
+                raise self.line.damaged(_shown(reply), f"not the confirmation of coil 0x{address:02X}")
+            self.line.answered()
+
+    def prove(self, unit: int) -> None:
+        """Ask for the canary, to find out whether the unit knows it; raises as `read`."""
+        with self.line.transaction():
+            self._prove(unit)
+
     def s32(self, registers: Sequence[int]) -> int:
         """Return two registers as a signed 32-bit number."""
         kind = self._client.DATATYPE.INT32
@@ -150,6 +201,10 @@ class ModbusLine:
         return self._client.convert_to_registers(
             value, self._client.DATATYPE.INT32, word_order=self._word_order
         )
+
+    def renew(self) -> bool:
+        """Open the line anew if it was lost or is in doubt; say whether it was."""
+        return self.line.renew()
 
     def close(self) -> None:
         """Release the line."""
@@ -183,7 +238,17 @@ class ModbusLine:
         return reply
 
     def _prove(self, unit: int) -> None:
-        self._read_now(unit, CANARY_REGISTER, CANARY_COUNT)
+        canary = self._canaries.get(unit, _CANARY)
+        if canary is None:
+            return
+        if canary.function != 8:
+            self._read_now(unit, canary.address, canary.count, canary.function)
+            return
+        sent = (next(self._loopbacks) & 0xFFFF).to_bytes(2, "big")
+        reply = self._asked(lambda: self._client.diag_query_data(sent, device_id=unit))
+        if reply.function_code != 8 or getattr(reply, "message", None) != sent:
+            raise self.line.damaged(_shown(reply), f"not the loopback asked of unit {unit}")
+        self.line.answered()
 
 
 def _shown(reply: ModbusPDU) -> bytes:
@@ -200,7 +265,9 @@ def open_modbus(
     ConnectionFailed
         The address cannot be opened.
     """
-    line = open_line(role, address, context, baudrate=baudrate, reply_timeout_s=1.0)
+    line = open_line(
+        role, address, context, protocol=f"modbus-{framing}", baudrate=baudrate, reply_timeout_s=1.0
+    )
     serial_rtu = framing == "rtu" and "://" not in address
     # Modbus over Serial Line V1.02, 2.5.1.1: 3.5 characters of 11 bits, fixed at 1.75 ms above 19200 baud
     gap_s = (3.5 * 11.0 / baudrate if baudrate <= 19200 else 1.75e-3) if serial_rtu else 0.0

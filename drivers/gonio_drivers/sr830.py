@@ -248,6 +248,6 @@ def open_sr830(config: SR830Config, context: Context) -> SR830:
     DeviceError
         The instrument does not take a setting.
     """
-    line = open_line("lockin", config.address, context, baudrate=config.baudrate)
+    line = open_line("lockin", config.address, context, protocol="sr830", baudrate=config.baudrate)
     with connecting(line):
         return SR830(config, context, line)

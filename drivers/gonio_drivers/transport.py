@@ -1,7 +1,8 @@
 """How do bytes get to an address and back: a serial port through pyserial, or a TCP socket of our own.
 
-An address is ``/dev/ttyUSB0``, ``COM3``, ``socket://host:port`` (a serial server, a Modbus gateway, the
-simulated bench) or anything else that `serial.serial_for_url` understands, such as ``rfc2217://host:port``.
+An address is ``/dev/ttyUSB0``, ``COM3``, ``usb://VID:PID/SERIAL`` (an adapter, at whatever port it sits),
+``socket://host:port`` (a serial server, a Modbus gateway, the simulated bench) or anything else that
+`serial.serial_for_url` understands, such as ``rfc2217://host:port``.
 
 ``socket://`` does not go through pyserial: its `in_waiting` is only 0 or 1, which makes every reply a read
 per byte, and its `close` sleeps 0.3 s (see `docs/decisions/raw-socket.md`).
@@ -21,6 +22,8 @@ import serial
 
 from gonio.errors import ConnectionFailed
 from gonio.rig import SIMULATED
+from gonio_drivers.usb import SCHEME as USB
+from gonio_drivers.usb import UsbIdentity, device_of, identity_of, parse_usb_address
 
 CONNECT_TIMEOUT_S = 5.0
 WRITE_TIMEOUT_S = 2.0
@@ -180,10 +183,46 @@ def open_port(role: str, address: str, *, baudrate: int) -> Port:
         raise ConnectionFailed(
             device,
             f"the address is malformed ({error})",
-            "write it as /dev/ttyUSB0, COM3 or socket://host:port",
+            "write it as /dev/ttyUSB0, COM3, usb://VID:PID/SERIAL or socket://host:port",
         ) from None
     except OSError as error:
         raise ConnectionFailed(device, _reason(error), _remedy(address, error)) from None
+
+
+class Opener:
+    """Opens one address, as often as it is lost; a USB adapter is found again under its new name.
+
+    Parameters
+    ----------
+    role, address, baudrate
+        As for `open_port`.
+    """
+
+    def __init__(self, role: str, address: str, baudrate: int) -> None:
+        self._role = role
+        self._address = address
+        self._baudrate = baudrate
+        self._identity: UsbIdentity | None = None
+
+    def __call__(self) -> Port:
+        """Open the address; raises as `open_port`."""
+        address = self._address
+        if self._identity is not None or address.startswith(USB):
+            address = self._found()
+        port = open_port(self._role, address, baudrate=self._baudrate)
+        if self._identity is None and "://" not in address:
+            self._identity = identity_of(address)
+        return port
+
+    def _found(self) -> str:
+        try:
+            return device_of(self._identity or parse_usb_address(self._address))
+        except (OSError, ValueError) as error:
+            raise ConnectionFailed(
+                f"{self._role} at {self._address}",
+                str(error),
+                "plug it in, or correct the address in the rig file (`gonio devices --ports` lists them)",
+            ) from None
 
 
 def _host_and_port(address: str) -> tuple[str, int]:

@@ -74,23 +74,37 @@ class ZaberDrive:
     """One axis of one device on the chain; a `gonio_drivers.axis.Drive`."""
 
     start_latency_s = 0.0  # the reply to a move command says BUSY already
+    reports_reference = True  # flag WR
 
     def __init__(self, line: ZaberLine, name: str, config: ZaberAxisConfig) -> None:
         self._line = line
         self._device = config.device
         self._axis = config.axis
         self.device = f"{name} (Zaber device {config.device}) on the {line.line.device}"
-        steps_per_deg = abs(config.steps_per_deg)
-        self._set("maxspeed", config.speed_deg_s * steps_per_deg * SPEED_UNITS_PER_STEP_S)
-        self._set("accel", config.acceleration_deg_s2 * steps_per_deg * ACCELERATION_UNITS_PER_STEP_S2)
+        self._config = config
+        self._identity: tuple[str, str, str] | None = None
+        self._set_speeds()
 
     def describe(self) -> str:
         """Return model number, serial number and firmware."""
-        model, serial, firmware = (
-            self._line.query(self._device, 0, f"get {setting}").data
-            for setting in ("deviceid", "system.serial", "version")
-        )
+        self._identity = model, serial, firmware = self._identify()
         return f"Zaber device {self._device}, id {model}, serial {serial}, firmware {firmware}"
+
+    def resume(self) -> None:
+        """Check that the same device answers, and set its speeds again; a lost reference is its flag WR."""
+        before, now = self._identity, self._identify()
+        if before is not None and now != before:
+            raise DeviceError(
+                self.device,
+                f"is another device now: id {now[0]}, serial {now[1]} instead of id {before[0]}, "
+                f"serial {before[1]}",
+                "restore the chain as it was, or open the rig again",
+            )
+        self._set_speeds()
+
+    def confirm(self) -> str | None:
+        """Nothing to ask: every reply carries the flags that tell of a lost reference."""
+        return None
 
     def state(self) -> DriveState:
         """Ask for position, motion and faults in one reply, and for all flags if one might hide a fault."""
@@ -137,6 +151,19 @@ class ZaberDrive:
         """Return all active flags, most important first (``warnings`` answers ``02 FS WR``)."""
         return self._line.query(self._device, self._axis, "warnings").data.split()[1:]
 
+    def _identify(self) -> tuple[str, str, str]:
+        model, serial, firmware = (
+            self._line.query(self._device, 0, f"get {setting}").data
+            for setting in ("deviceid", "system.serial", "version")
+        )
+        return model, serial, firmware
+
+    def _set_speeds(self) -> None:
+        config = self._config
+        steps_per_deg = abs(config.steps_per_deg)
+        self._set("maxspeed", config.speed_deg_s * steps_per_deg * SPEED_UNITS_PER_STEP_S)
+        self._set("accel", config.acceleration_deg_s2 * steps_per_deg * ACCELERATION_UNITS_PER_STEP_S2)
+
     def _set(self, setting: str, value: float) -> None:
         wanted = max(1, round(value))
         self._line.query(self._device, self._axis, f"set {setting} {wanted}")
@@ -160,7 +187,8 @@ def open_stage(config: ZaberStageConfig, context: Context) -> MotorStage:
         A device does not answer, refuses its speed, or does not find its reference.
     """
     line = ZaberLine(
-        open_line("stage", config.address, context, baudrate=config.baudrate), checksums=config.checksums
+        open_line("stage", config.address, context, protocol="zaber", baudrate=config.baudrate),
+        checksums=config.checksums,
     )
     with connecting(line.line):
         drives = {

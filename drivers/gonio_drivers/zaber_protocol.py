@@ -59,6 +59,10 @@ class ZaberLine:
         )
         self._number = 0
 
+    def renew(self) -> bool:
+        """Open the line anew if it was lost or is in doubt; say whether it was."""
+        return self.line.renew()
+
     def query(self, device: int, axis: int, command: str) -> Reply:
         """Send a command that changes nothing and return its reply; repeated once if the reply fails."""
         return self.line.query(lambda: self.command(device, axis, command))

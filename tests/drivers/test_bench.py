@@ -78,6 +78,9 @@ def test_the_limit_switch_at_the_blind_zone_ends_a_move_with_an_error(any_stage_
         ):
             rig.move_to(20.0, 6.0)
         assert rig.stage.theta_mes.position_deg() == pytest.approx(14.7, abs=0.1)
+        with pytest.raises(MotionError, match=r"may have lost count .*limit switch.*home it"):
+            rig.move_to(20.0, 30.0)
+        assert "theta_mes homed since" in rig.stage.recover()
         assert rig.move_to(20.0, 30.0)[1] == pytest.approx(30.0, abs=0.01)
 
 

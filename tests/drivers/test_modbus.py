@@ -176,6 +176,8 @@ CONFIG = AppliedMotionAxisConfig(
 CONNECT = (
     (rtu("01 10 001b 0003 06 0078 0078 03c0"), rtu("01 10 001b 0003")),
     (read(0x1B, 3), registers(120, 120, 960)),
+    (rtu("01 06 0081 5aa5"), rtu("01 06 0081 5aa5")),
+    (read(0x81, 1), registers(0x5AA5)),
 )
 
 
@@ -244,6 +246,39 @@ def test_with_an_encoder_the_read_back_is_the_shafts(scripted):
     config = CONFIG.model_copy(update={"encoder_counts_per_rev": 4000.0})
     axis = drive(scripted, (read(0, 8), registers(0, 9, 0, 0, 0, 2000, 0, 9999)), config=config)
     assert axis.state().position_steps == 10_000  # half a revolution
+
+
+def test_a_drive_that_was_switched_off_has_forgotten_the_mark(scripted):
+    axis = drive(
+        scripted,
+        (read(0x81, 1), registers(0x5AA5)),
+        (read(0x81, 1), registers(0)),
+        (read(0x81, 1), registers(0)),
+        *CONNECT,
+    )
+    assert axis.confirm() is None
+    assert "switched off" in axis.confirm()
+    axis.resume()  # sets speeds and mark again; the reference is gone
+    axis._line.read = lambda unit, address, count: [0, 9, 0, 0, 0, 0, 0, 0]
+    assert not axis.state().referenced
+
+
+def test_a_drive_without_that_register_is_known_by_its_speeds(scripted):
+    refused = rtu("01 86 02")
+    axis = AppliedMotionDrive(
+        modbus(
+            scripted,
+            *CONNECT[:2],
+            (CONNECT[2][0], refused),
+            (read(0x1B, 3), registers(120, 120, 960)),
+            (read(0x1B, 3), registers(600, 600, 240)),
+        ),
+        "theta_i",
+        CONFIG,
+        referenced=True,
+    )
+    assert axis.confirm() is None
+    assert "switched off" in axis.confirm()
 
 
 def test_speeds_that_no_register_holds(scripted):
