@@ -12,6 +12,7 @@ so nothing goes on by itself before its driver has read its state again (`gonio.
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -33,6 +34,7 @@ QUIET_S = (
 )
 _DRAIN_LIMIT_S = 3.0
 _LONGEST_REPLY = 4096  # bytes; more without a terminator is noise
+_LINE = re.compile(rb"[\r\n]*([^\r\n]+)[\r\n]")
 
 Answer = TypeVar("Answer")
 
@@ -170,13 +172,27 @@ class Line:
                 del buffer[: end + len(terminator)]
                 return reply
             searched = max(0, len(buffer) - len(terminator) + 1)
-            if len(buffer) > _LONGEST_REPLY:
-                raise self.damaged(bytes(buffer[:40]), f"{len(buffer)} bytes without an end of line")
-            left_s = deadline_s - time.monotonic()
-            data = self.receive(left_s) if left_s > 0 else b""
-            if not data:
-                raise self.timed_out(deadline_s - self._sent_s, bytes(buffer))
-            buffer += data
+            self._receive_more(deadline_s)
+
+    def read_line(self, deadline_s: float) -> bytes:
+        """Return the next line that is not blank, ended by CR, LF or both; raises as `read_until`.
+
+        Firmware and adapters differ in what ends a line, and the second of two characters may come later.
+        """
+        while (line := _LINE.match(self._buffer)) is None:
+            self._receive_more(deadline_s)
+        text = bytes(line[1])
+        del self._buffer[: line.end()]
+        return text
+
+    def _receive_more(self, deadline_s: float) -> None:
+        if len(self._buffer) > _LONGEST_REPLY:
+            raise self.damaged(bytes(self._buffer[:40]), f"{len(self._buffer)} bytes without an end of line")
+        left_s = deadline_s - time.monotonic()
+        data = self.receive(left_s) if left_s > 0 else b""
+        if not data:
+            raise self.timed_out(deadline_s - self._sent_s, bytes(self._buffer))
+        self._buffer += data
 
     def answered(self) -> None:
         """Count the reply to the last request as good."""
