@@ -4,6 +4,7 @@ White noise whose 1 s average has standard deviation ``sigma_1`` (equivalent noi
 leaves a low-pass of time constant tau (equivalent noise bandwidth 1/(4 tau)) as an Ornstein-Uhlenbeck process
 with standard deviation ``sigma_1 / sqrt(2 tau)``.  Both the mean and the noise are carried on exactly from
 one reading to the next, so readings closer than a time constant are correlated as on the real instrument.
+Steeper slopes are several such low-passes in a row, see `lowpass`.
 """
 
 from __future__ import annotations
@@ -11,10 +12,11 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from gonio_simulators.bench.lowpass import kick, response
 from gonio_simulators.clock import BenchClock
 
 MEMORY_TIME_CONSTANTS = 30.0
@@ -44,6 +46,17 @@ class LockinReading(NamedTuple):
     y_v: float
     input_overload: bool
     output_overload: bool
+
+
+class Recorder(Protocol):
+    """Something that looks at the outputs at certain instants, such as the instrument's data buffer."""
+
+    next_s: float
+    """Bench time of the next look; infinite for none."""
+
+    def take(self) -> None:
+        """Look: the amplifier has been carried on to `next_s`."""
+        ...
 
 
 class Lockin:
@@ -82,6 +95,24 @@ class Lockin:
         self._stock: list[float] = []
         self._noise_x_v = 0.0
         self._noise_y_v = 0.0
+        self._order = 1
+        self._stages = np.zeros((3, 1))  # of mean, X noise and Y noise; used with more than one low-pass
+        self.recorder: Recorder | None = None
+
+    @property
+    def order(self) -> int:
+        """How many low-passes follow one another, 6 dB/octave each."""
+        return self._order
+
+    @order.setter
+    def order(self, value: int) -> None:
+        self.advance()
+        last = np.array([[self._mean_v], [self._noise_x_v], [self._noise_y_v]])
+        kept = self._stages[:, :value] if self._order > 1 else last
+        # a further stage wakes up settled on what it is given
+        self._stages = np.concatenate([kept] + [kept[:, -1:]] * (value - kept.shape[1]), axis=1)
+        self._mean_v, self._noise_x_v, self._noise_y_v = map(float, self._stages[:, -1])
+        self._order = value
 
     @property
     def time_constant_s(self) -> float:
@@ -100,10 +131,7 @@ class Lockin:
         quantised to full scale / 32768.
         """
         self.advance()
-        phase = math.radians(self.phase_deg)
-        in_phase, quadrature = self._mean_v + self._noise_x_v, self._noise_y_v
-        x = in_phase * math.cos(phase) + quadrature * math.sin(phase)
-        y = quadrature * math.cos(phase) - in_phase * math.sin(phase)
+        x, y = self.demodulated()
         limit = OVERLOAD * self.sensitivity_v
         return LockinReading(
             self._output(x),
@@ -112,14 +140,39 @@ class Lockin:
             max(abs(x), abs(y)) > limit,
         )
 
+    def demodulated(self) -> tuple[float, float]:
+        """Return X and Y behind the low-pass in volts, before range and resolution, as last carried on."""
+        phase = math.radians(self.phase_deg)
+        in_phase, quadrature = self._mean_v + self._noise_x_v, self._noise_y_v
+        x = in_phase * math.cos(phase) + quadrature * math.sin(phase)
+        y = quadrature * math.cos(phase) - in_phase * math.sin(phase)
+        return x, y
+
+    def noise_density_v(self) -> tuple[float, float]:
+        """Return the noise of X and Y at the input now, V per root hertz.
+
+        A 1 s average has an equivalent noise bandwidth of 1/2 Hz.
+        """
+        phase = math.radians(self.phase_deg)
+        along, across = self._signal.in_phase_sd_v, self._signal.quadrature_sd_v
+        c, s = math.sqrt(2.0) * math.cos(phase), math.sqrt(2.0) * math.sin(phase)
+        return math.hypot(along * c, across * s), math.hypot(across * c, along * s)
+
     def _output(self, value_v: float) -> float:
         limit = OVERLOAD * self.sensitivity_v
         quantum = self.sensitivity_v / STEPS_OF_FULL_SCALE
         return round(min(max(value_v, -limit), limit) / quantum) * quantum
 
     def advance(self) -> None:
-        """Carry mean and noise on to the present."""
+        """Carry mean and noise on to the present, halting where a recorder wants to look."""
         now_s = self.clock.now_s()
+        if self.recorder is not None:
+            while self.recorder.next_s <= now_s:
+                self._carry_to(self.recorder.next_s)
+                self.recorder.take()
+        self._carry_to(now_s)
+
+    def _carry_to(self, now_s: float) -> None:
         if now_s <= self._time_s:
             return
         tau = self._time_constant_s
@@ -154,6 +207,9 @@ class Lockin:
 
     def _settle(self, duration_s: float, before: DetectorSignal, after: DetectorSignal | None = None) -> None:
         """Exact response to a signal that is constant, or goes straight from `before` to `after`."""
+        if self._order > 1:
+            self._settle_steeply(duration_s, before, after or before)
+            return
         tau = self._time_constant_s
         gain = -math.expm1(-duration_s / tau)
         decay = 1.0 - gain
@@ -166,6 +222,22 @@ class Lockin:
         kick_x, kick_y = self._kicks()
         self._noise_x_v = decay * self._noise_x_v + fresh * end.in_phase_sd_v * kick_x
         self._noise_y_v = decay * self._noise_y_v + fresh * end.quadrature_sd_v * kick_y
+
+    def _settle_steeply(self, duration_s: float, before: DetectorSignal, after: DetectorSignal) -> None:
+        """Do the same with several low-passes."""
+        tau, order = self._time_constant_s, self._order
+        mean, noise_x, noise_y = self._stages
+        mean = response(mean, duration_s, tau, before.mean_v, after.mean_v)
+        fresh = kick(order, duration_s / tau) / math.sqrt(tau)
+        kicks = np.array([self._kicks() for _ in range(order)])
+        noise_x = response(noise_x, duration_s, tau, 0.0, 0.0) + after.in_phase_sd_v * fresh @ kicks[:, 0]
+        noise_y = response(noise_y, duration_s, tau, 0.0, 0.0) + after.quadrature_sd_v * fresh @ kicks[:, 1]
+        self._stages = np.stack([mean, noise_x, noise_y])
+        self._mean_v, self._noise_x_v, self._noise_y_v = (
+            float(mean[-1]),
+            float(noise_x[-1]),
+            float(noise_y[-1]),
+        )
 
     def _kicks(self) -> tuple[float, float]:
         """Two standard normal numbers, from a stock, as the generator is slow for single ones."""
