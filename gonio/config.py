@@ -96,12 +96,12 @@ def _known_keys(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]
     for part in loc:
         if isinstance(part, int):
             continue
-        field = current.model_fields.get(part)
+        field = next((f for name, f in current.model_fields.items() if part in (name, f.alias)), None)
         found = _model_in(field.annotation) if field is not None else None
         if found is None:
             continue  # a tag of a union, or a mapping's key
         current = found
-    return list(current.model_fields)
+    return [field.alias or name for name, field in current.model_fields.items()]
 
 
 def _model_in(annotation: Any) -> type[BaseModel] | None:
