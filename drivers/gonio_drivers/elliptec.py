@@ -61,9 +61,12 @@ class ElliptecRotator:
         # The reply to a move comes when it has ended, in the module's own time.
         self._move_timeout_s = _REAL_MOVE_S + _MOVE_S / context.clock.speed
         self._stop_asked = threading.Event()
+        self._rests_at_deg: float | None = None  # where the last move ended; None: the count is in doubt
         self._description = self._identified()
         if config.home_on_connect:
             self._home()
+        else:
+            self._rests_at_deg = self.position_deg()
 
     def select(self, polarization: Polarization) -> float:
         """Turn to S or P, verify, and return the read-back angle in degrees; no move if it stands there.
@@ -78,10 +81,16 @@ class ElliptecRotator:
         self._stop_asked.clear()
         target_deg = self._config.s_deg if polarization == "s" else self._config.p_deg
         here_deg = self.position_deg()
+        if self._rests_at_deg is None or not self._is_at(here_deg, self._rests_at_deg):
+            self._home()  # turned by hand, or switched off and counting from zero again
+            here_deg = self.position_deg()
         if self._is_at(here_deg, target_deg):
             return here_deg
         pulses = round(target_deg * self._config.pulses_per_turn / 360.0)
-        self._move(f"ma{pulses & 0xFFFFFFFF:08X}")
+        if not self._move(f"ma{pulses & 0xFFFFFFFF:08X}"):
+            # Without its reply the module may have restarted on the way, and count from there.
+            self._home()
+            self._exchange(f"ma{pulses & 0xFFFFFFFF:08X}", "PO", self._move_timeout_s)
         here_deg = self.position_deg()
         if self._stop_asked.is_set():
             raise MotionError(
@@ -94,7 +103,44 @@ class ElliptecRotator:
                 f" ({polarization.upper()})",
                 "check that it turns freely, then repeat",
             )
+        self._rests_at_deg = here_deg
         return here_deg
+
+    def verify_still(self, expected_deg: float) -> float:
+        """Return the position read back if it is where `select` left it; `MotionError` if not."""
+        here_deg = self.position_deg()
+        if not self._is_at(here_deg, expected_deg):
+            self._rests_at_deg = None
+            raise MotionError(
+                self._device,
+                f"is at {here_deg:.2f} deg although it was left at {expected_deg:.2f} deg",
+                "leave the polarizer alone while it measures, then repeat",
+            )
+        return here_deg
+
+    def recover(self) -> str:
+        """Come back to a known state after a failure; say what had to be done for it.
+
+        The line is opened anew if it was lost, the module must be the same one, and it is homed.
+
+        Raises
+        ------
+        ConnectionFailed
+            The line cannot be opened (yet).
+        DeviceError
+            The module does not answer, is another one, or does not turn.
+        """
+        done = ["connection opened anew"] if self._line.renew() else []
+        self._rests_at_deg = None
+        description = self._identified()
+        if description != self._description:
+            raise DeviceError(
+                self._device,
+                f"is another module now: {description} instead of {self._description}",
+                "restore the bus as it was, or open the rig again",
+            )
+        self._home()
+        return ", ".join([*done, "homed"])
 
     def position_deg(self) -> float:
         """Return the position read back from the module, degrees."""
@@ -126,19 +172,27 @@ class ElliptecRotator:
         return pulses * 360.0 / self._config.pulses_per_turn
 
     def _home(self) -> None:
-        self._move("ho0")  # 0: clockwise
+        self._rests_at_deg = None
+        if not self._move("ho0"):  # 0: clockwise
+            # A module that restarted says 0 wherever it stands: only a reply to the search itself counts.
+            self._exchange("ho0", "PO", self._move_timeout_s)
         here_deg = self.position_deg()
         if not self._is_at(here_deg, 0.0):
             raise MotionError(
                 self._device, f"is at {here_deg:.2f} deg after homing", "check that it turns freely"
             )
+        self._rests_at_deg = here_deg
 
-    def _move(self, command: str) -> None:
-        """Send a move once and wait for its end; where it ended is for the read-back to say."""
+    def _move(self, command: str) -> bool:
+        """Send a move once and wait for its end; say whether its reply came.
+
+        Where it ended is for the read-back to say.
+        """
         try:
             self._exchange(command, "PO", self._move_timeout_s)
         except NoReply:
-            return  # the reply may be lost though the move was made; the read-back tells
+            return False
+        return True
 
     def _identified(self) -> str:
         digits = self._line.query(lambda: self._exchange("in", "IN"))

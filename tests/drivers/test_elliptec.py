@@ -73,12 +73,44 @@ def test_busy_is_not_the_end_of_a_move(rotator):
     assert polarizer.select("p") == 45.0
 
 
-def test_a_move_whose_reply_is_lost_is_not_sent_again_but_read_back(rotator):
+def test_a_move_whose_reply_is_lost_begins_anew_from_the_home_position(rotator):
+    """The module may have restarted on the way; it then counts from wherever it was."""
     proof = (b"0gs", b"0GS00\r\n")
+    move = (b"0ma00004600", b"0PO00004600\r\n")
     polarizer = rotator(
-        AT_ZERO, (b"0ma00004600", [SILENCE, b"0PO00004600\r\n"]), proof, (b"0gp", b"0PO00004600\r\n")
+        AT_ZERO, (move[0], [SILENCE, move[1]]), proof, HOMED, AT_ZERO, move, (b"0gp", b"0PO00004600\r\n")
     )
     assert polarizer.select("p") == 45.0
+
+
+def test_a_module_that_does_not_answer_its_search_for_home_is_not_believed(rotator):
+    proof = (b"0gs", b"0GS00\r\n")
+    polarizer = rotator(AT_ZERO, (b"0ma00004600", []), proof, (b"0ho0", []), proof, (b"0ho0", []))
+    with pytest.raises(ReplyError, match="gave no complete reply"):
+        polarizer.select("p")
+
+
+def test_turned_by_hand_it_is_homed_before_the_next_turn(rotator):
+    by_hand = (b"0gp", b"0PO00000400\r\n")
+    polarizer = rotator(by_hand, HOMED, AT_ZERO, AT_ZERO)
+    assert polarizer.select("s") == 0.0
+
+
+def test_turned_while_it_should_stand_is_an_error_and_then_homed(rotator):
+    by_hand = (b"0gp", b"0PO00000400\r\n")
+    polarizer = rotator(AT_ZERO, AT_ZERO, by_hand, by_hand, HOMED, AT_ZERO, AT_ZERO)
+    assert polarizer.select("s") == 0.0
+    assert polarizer.verify_still(0.0) == 0.0
+    with pytest.raises(MotionError, match=r"is at 2\.57 deg although it was left at 0\.00 deg"):
+        polarizer.verify_still(0.0)
+    assert polarizer.select("s") == 0.0
+
+
+def test_recovery_wants_the_same_module(rotator):
+    polarizer = rotator(IDENTIFIED, HOMED, AT_ZERO, (b"0in", INFORMATION.replace(b"11400051", b"11400052")))
+    assert polarizer.recover() == "homed"
+    with pytest.raises(DeviceError, match=r"another module now: .*11400052.* instead of .*11400051"):
+        polarizer.recover()
 
 
 def test_a_late_position_is_not_taken_for_the_next(rotator):
