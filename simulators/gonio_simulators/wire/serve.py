@@ -187,9 +187,10 @@ def _stage(bench: Bench, table: _StageTable, source: str) -> tuple[str, Instrume
     makers: dict[str, Callable[[], Instrument]] = {
         "zaber": lambda: ZaberChain(bench, **numbers),
         "applied-motion": applied_motion,
+        "modbus-registers": applied_motion,  # a register map is tried out on the drives there are
     }
     name, instrument = _instrument(makers, table.driver, f"{source}: stage")
-    return (f"modbus-{table.framing}" if name == "applied-motion" else name), instrument
+    return (f"modbus-{table.framing}" if name in ("applied-motion", "modbus-registers") else name), instrument
 
 
 def _instrument(
