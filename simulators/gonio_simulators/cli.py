@@ -8,12 +8,9 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import contextlib
 import gc
 import os
-import signal
 import sys
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +19,7 @@ from gonio.errors import ConfigError, GonioError
 from gonio.rig import default_rig_text
 from gonio_simulators.bench.bench import Bench
 from gonio_simulators.bench.config import BenchConfig
+from gonio_simulators.ending import stop_when_told
 from gonio_simulators.wire.lines import PtyPort, new_event_loop
 from gonio_simulators.wire.serve import Served, plan_ports, serve
 
@@ -127,11 +125,7 @@ def _write_spectra(config: BenchConfig, options: argparse.Namespace) -> None:
 async def _serve(ports: list[Served], options: argparse.Namespace) -> None:
     loop = asyncio.get_running_loop()
     stop = asyncio.Event()
-    _stop_on_signals(loop, stop)
-    if options.until_stdin_closes:
-        threading.Thread(target=_wait_for_end_of_input, args=(loop, stop), daemon=True).start()
-    if options.seconds is not None:
-        loop.call_later(options.seconds, stop.set)
+    stop_when_told(loop, stop, until_stdin_closes=options.until_stdin_closes, seconds=options.seconds)
     await serve(ports, stop, announce=_announce)
 
 
@@ -141,29 +135,3 @@ def _announce(ports: list[Served]) -> None:
     print("ready", flush=True)
     gc.collect()
     gc.freeze()  # what lives now lives to the end; later collections need not look at it
-
-
-def _stop_on_signals(loop: asyncio.AbstractEventLoop, stop: asyncio.Event) -> None:
-    for number in (signal.SIGINT, signal.SIGTERM):
-        try:
-            loop.add_signal_handler(number, stop.set)
-        except NotImplementedError:  # Windows, which looks at signals only between two waits of the loop
-            signal.signal(number, lambda *_: loop.call_soon_threadsafe(stop.set))
-            _tick(loop)
-
-
-def _tick(loop: asyncio.AbstractEventLoop) -> None:
-    loop.call_later(0.2, _tick, loop)
-
-
-def _wait_for_end_of_input(loop: asyncio.AbstractEventLoop, stop: asyncio.Event) -> None:
-    """Read standard input to its end.
-
-    A thread, because files, pipes and consoles cannot all be watched by one loop; `os.read`, because a
-    buffered reader that still waits at exit would hold a lock that the interpreter needs.
-    """
-    with contextlib.suppress(OSError):  # no standard input at all is an end, too
-        while os.read(0, 4096):
-            continue
-    with contextlib.suppress(RuntimeError):  # the loop has ended before
-        loop.call_soon_threadsafe(stop.set)
