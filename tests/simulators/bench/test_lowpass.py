@@ -40,7 +40,7 @@ def test_a_short_time_leaves_every_stage_its_small_noise() -> None:
     assert np.all(kick(4, 0.0) == 0.0)
 
 
-@pytest.mark.parametrize(("order", "bandwidth_tau"), zip(ORDERS, (1 / 4, 1 / 8, 3 / 32, 5 / 64), strict=True))
+@pytest.mark.parametrize(("order", "bandwidth_tau"), [(1, 1 / 4), (2, 1 / 8), (3, 3 / 32), (4, 5 / 64)])
 def test_noise_bandwidth(order: int, bandwidth_tau: float) -> None:
     """Equivalent noise bandwidths 1/(4 tau), 1/(8 tau), 3/(32 tau), 5/(64 tau)."""
     sigma_1 = 1e-2
