@@ -21,8 +21,9 @@ from pydantic import Field, model_validator
 
 from gonio.clock import Clock
 from gonio.config import NotNegative, Number, Positive, Strict, parse_toml, read_toml, validate
-from gonio.devices import FloatArray, Polarizer, Spectrometer, Stage
+from gonio.devices import Beam, FloatArray, Polarizer, Spectrometer, Stage
 from gonio.errors import ConfigError, DeviceError, RefusedError
+from gonio.latency import LatencyConfig, PassTime
 
 Role = Literal["stage", "polarizer", "spectrometer"]
 
@@ -86,6 +87,7 @@ class PolarizerConfig(DeviceConfig):
 
     s_deg: Number
     p_deg: Number
+    turn_s: NotNegative = 0.32  # from one to the other, for the estimate; an ELL14 turns 90 deg in that
 
 
 class DetectorConfig(Strict):
@@ -126,9 +128,37 @@ class SpectrometerConfig(Strict):
         """
         return {}
 
-    def reading_duration_s(self, wavelength_nm: FloatArray, averages: int) -> float:
+    def averages_for(self, integration_s: float) -> int:
+        """Return how many readings, averaged, fill an integration time; a driver's model overrides."""
+        return max(1, int(np.ceil(integration_s - 1e-9)))
+
+    def reading_duration_s(self, wavelength_nm: FloatArray, averages: int | NDArray[np.integer]) -> float:
         """Return the estimated instrument time of one pass, seconds; a driver's model overrides."""
-        return float(len(wavelength_nm) * averages)
+        return float(np.sum(np.broadcast_to(averages, np.shape(wavelength_nm))))
+
+    def pass_time(
+        self,
+        wavelength_nm: FloatArray,
+        detector_index: NDArray[np.uint8],
+        averages: int | NDArray[np.integer],
+        *,
+        beam: Beam = "sample",
+        after: tuple[float, int] | None = None,
+        first: bool = False,
+    ) -> PassTime:
+        """Return what one pass takes, for estimates; a driver's model overrides.
+
+        Parameters
+        ----------
+        wavelength_nm, detector_index, averages
+            As in `Spectrometer.measure_spectrum`.
+        after
+            Wavelength in nm and detector of the reading before; None if it is not known.
+        first
+            Whether it is the first pass of this beam, when the amplifier's range must still be found.
+        """
+        del detector_index, beam, after, first
+        return PassTime(self.reading_duration_s(wavelength_nm, averages))
 
 
 class BaselineConfig(Strict):
@@ -147,6 +177,7 @@ class RigConfig(Strict):
     stage: StageConfig
     polarizer: PolarizerConfig
     spectrometer: SpectrometerConfig
+    latency: LatencyConfig = LatencyConfig()
     simulation: Mapping[str, Any] | None = None
     text: str = ""
 
