@@ -6,51 +6,26 @@ flag, so a single ``get pos`` is position, motion and fault of the same instant.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Annotated
 
 from pydantic import Field
 
-from gonio.config import Count, Number
-from gonio.errors import DeviceError
+from gonio.config import Count, Number, Positive
+from gonio.errors import DeviceError, ReplyError
 from gonio.rig import Context, Driver, StageConfig
 from gonio_drivers.axis import MotorAxis
+from gonio_drivers.decimals import decimal
 from gonio_drivers.drive import DriveState, MotorConfig
 from gonio_drivers.lines import connecting, open_line
 from gonio_drivers.stage import MotorStage
+from gonio_drivers.zaber_flags import fault_of, is_referenced
 from gonio_drivers.zaber_protocol import ZaberLine
 
 # Units of the settings maxspeed and accel (ASCII Protocol Manual): 1.6384 per microstep/s, and that over 10
 # 000 per # microstep/s2, from the controller's 10 kHz loop and 14 fractional bits.
 SPEED_UNITS_PER_STEP_S = 1.6384
 ACCELERATION_UNITS_PER_STEP_S2 = 1.6384e-4
-
-_NO_REFERENCE = {"WR", "WH"}
-
-_FAULTS: Mapping[str, tuple[str, str]] = {
-    "FF": ("critical system error", "switch the stage off and on; if it stays, call the manufacturer"),
-    "FN": ("its peripheral is not supported", "check what is plugged into the controller"),
-    "FZ": ("its peripheral is inactive", "activate it with the manufacturer's software"),
-    "FH": ("the hardware emergency stop was pressed", "release the emergency stop, then home and repeat"),
-    "FV": ("the supply voltage is out of range and the driver was switched off", "check the power supply"),
-    "FO": ("the driver is off", "check the power supply and enable the driver"),
-    "FD": ("the motor driver is disabled", "let it cool, check the power supply, then enable the driver"),
-    "FC": (
-        "the current is too high and the driver was switched off",
-        "check the motor for a short or a block",
-    ),
-    "FM": ("the motor is too hot", "let it cool"),
-    "FT": ("the driver is too hot", "let it cool"),
-    "FQ": ("the encoder failed", "check the encoder's cable, then home the axis"),
-    "FI": ("the index was not found", "home the axis"),
-    "FS": ("it stalled and stopped", "remove what blocks it, then home the axis and repeat"),
-    "FE": ("it met a limit switch", "check limits_deg and zero_deg in the rig file, then home the axis"),
-    "FB": ("it was moved by an interfering load", "remove what pushes it, then home the axis"),
-    "FP": ("a motion limit was exceeded", "lower speed_deg_s and acceleration_deg_s2 in the rig file"),
-    "NC": ("it is moved by its manual control", "leave the knob alone, then repeat"),
-    "NI": ("the move was interrupted by its knob or another program", "leave the stage alone, then repeat"),
-    "WM": ("it was displaced while it stood", "find out what pushed it, then home the axis"),
-}
+_ROUNDING = 0.01  # by which a device may round a speed
 
 
 class ZaberAxisConfig(MotorConfig):
@@ -59,6 +34,7 @@ class ZaberAxisConfig(MotorConfig):
     device: Annotated[int, Field(strict=True, ge=1, le=99)]
     axis: Annotated[int, Field(strict=True, ge=1, le=9)] = 1
     steps_per_deg: Number  # microsteps; X-RST at its default resolution: 4266.67
+    stage_turn_deg: Positive = 360.0  # of the axis in one turn of the stage; another number behind a gear
 
 
 class ZaberStageConfig(StageConfig):
@@ -109,23 +85,17 @@ class ZaberDrive:
     def state(self) -> DriveState:
         """Ask for position, motion and faults in one reply, and for all flags if one might hide a fault."""
         reply = self._line.query(self._device, self._axis, "get pos")
-        try:
-            position_steps = int(reply.data)
-        except ValueError:
+        position = _number(reply.data)
+        if position is None:
             raise DeviceError(
                 self.device, f"gave '{reply.data}' as its position", "check the stage's firmware"
-            ) from None
+            )
+        position_steps = round(position)
         if reply.flag == "--":
             return DriveState(position_steps, reply.busy, True, None)
-        flags = self._flags()
-        referenced = not _NO_REFERENCE.intersection(flags)
-        for flag in flags:
-            if flag in _FAULTS or flag.startswith("F"):
-                fault, remedy = _FAULTS.get(
-                    flag, ("an unknown fault", "look the flag up in the manufacturer's manual")
-                )
-                return DriveState(position_steps, reply.busy, referenced, f"{fault} (flag {flag})", remedy)
-        return DriveState(position_steps, reply.busy, referenced, None)
+        flags = self._flags(reply.flag)
+        fault, remedy = fault_of(flags)
+        return DriveState(position_steps, reply.busy, is_referenced(flags), fault, remedy)
 
     def clear_faults(self) -> None:
         """Clear the flags that wait to be acknowledged; those that persist come back with the next poll."""
@@ -147,9 +117,60 @@ class ZaberDrive:
         """Decelerate and stop; harmless when idle, so repeated if the reply fails."""
         self._line.query(self._device, self._axis, "stop")
 
-    def _flags(self) -> list[str]:
-        """Return all active flags, most important first (``warnings`` answers ``02 FS WR``)."""
-        return self._line.query(self._device, self._axis, "warnings").data.split()[1:]
+    def _flags(self, seen: str) -> list[str]:
+        """Return all active flags, most important first, and the one just seen, which may have gone since.
+
+        ``warnings`` answers ``02 FS WR``, or ``00`` without any.
+        """
+        words = self._line.query(self._device, self._axis, "warnings").data.split()
+        flags = [word for word in words if len(word) == 2 and word[0].isalpha()]
+        return flags if seen in flags else [seen, *flags]
+
+    def check_travel(self) -> None:
+        """Compare scale and limits of the rig file with the stage's own, as far as its firmware tells them.
+
+        Raises
+        ------
+        DeviceError
+            One turn of the stage is another number of microsteps than `steps_per_deg` says, so that every
+            angle would be wrong; or the stage does not travel as far as `limits_deg`.
+        """
+        scale = abs(self._config.steps_per_deg)
+        turn = self._setting("limit.cycle.dist")
+        expected = scale * self._config.stage_turn_deg
+        if turn is not None and turn > 0 and abs(turn - expected) > 1e-3 * expected:
+            resolution = self._setting("resolution")
+            told = "" if resolution is None else f" at a resolution of {resolution:g}"
+            raise DeviceError(
+                self.device,
+                f"turns once in {turn:g} microsteps{told}, the rig file says {expected:g} "
+                f"({scale:g} steps/deg x {self._config.stage_turn_deg:g} deg)",
+                f"write steps_per_deg = +-{turn / self._config.stage_turn_deg:.6g}, set the stage's "
+                "resolution, or give stage_turn_deg of a gear",
+            )
+        low, high = self._setting("limit.min"), self._setting("limit.max")
+        if low is None or high is None or not low < high:
+            return
+        ends = [self._config.zero_deg + steps / self._config.steps_per_deg for steps in (low, high)]
+        near_deg, far_deg = min(ends), max(ends)
+        slack_deg = self._config.tolerance_deg
+        asked = self._config.limits_deg
+        if asked[0] < near_deg - slack_deg or asked[1] > far_deg + slack_deg:
+            raise DeviceError(
+                self.device,
+                f"travels from {near_deg:.6g} to {far_deg:.6g} deg (limit.min {low:g}, limit.max {high:g}), "
+                f"less than limits_deg = [{asked[0]:g}, {asked[1]:g}]",
+                "narrow limits_deg in the rig file, correct zero_deg, or widen the stage's limits",
+            )
+
+    def _setting(self, name: str) -> float | None:
+        """Return a setting, None if the firmware does not have it."""
+        try:
+            return _number(self._line.query(self._device, self._axis, f"get {name}").data)
+        except ReplyError:
+            raise
+        except DeviceError:
+            return None
 
     def _identify(self) -> tuple[str, str, str]:
         model, serial, firmware = (
@@ -162,18 +183,38 @@ class ZaberDrive:
         config = self._config
         steps_per_deg = abs(config.steps_per_deg)
         self._set("maxspeed", config.speed_deg_s * steps_per_deg * SPEED_UNITS_PER_STEP_S)
-        self._set("accel", config.acceleration_deg_s2 * steps_per_deg * ACCELERATION_UNITS_PER_STEP_S2)
+        acceleration = config.acceleration_deg_s2 * steps_per_deg * ACCELERATION_UNITS_PER_STEP_S2
+        try:
+            self._set("accel", acceleration)
+        except ReplyError:
+            raise
+        except DeviceError:
+            # Where the two ramps are settings of their own, the common one may be missing or read NA.
+            if self._setting("motion.accelonly") is None:
+                raise
+            for setting in ("motion.accelonly", "motion.decelonly"):
+                self._set(setting, acceleration)
 
     def _set(self, setting: str, value: float) -> None:
         wanted = max(1, round(value))
         self._line.query(self._device, self._axis, f"set {setting} {wanted}")
         got = self._line.query(self._device, self._axis, f"get {setting}").data
-        if got != str(wanted):
+        number = _number(got)
+        # Devices round to what their clock can do: estimates bear that, a limit of the device they do not.
+        if number is None or abs(number - wanted) > max(1.0, _ROUNDING * wanted):
             raise DeviceError(
                 self.device,
                 f"was told {setting} = {wanted} and reads {got}",
                 "lower speed_deg_s and acceleration_deg_s2 in the rig file",
             )
+
+
+def _number(data: str) -> float | None:
+    """Return a reply's first number (a whole one, or with decimals), None if it is none."""
+    try:
+        return decimal(data.split()[0])
+    except (ValueError, IndexError):
+        return None
 
 
 def open_stage(config: ZaberStageConfig, context: Context) -> MotorStage:
@@ -195,6 +236,8 @@ def open_stage(config: ZaberStageConfig, context: Context) -> MotorStage:
             name: ZaberDrive(line, name, table)
             for name, table in (("theta_i", config.theta_i), ("theta_mes", config.theta_mes))
         }
+        for drive in drives.values():
+            drive.check_travel()
         stage = MotorStage(
             MotorAxis("theta_i", config.theta_i, drives["theta_i"], context),
             MotorAxis("theta_mes", config.theta_mes, drives["theta_mes"], context),
