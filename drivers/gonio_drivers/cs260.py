@@ -17,6 +17,7 @@ from pydantic import Field, model_validator
 from gonio.config import Count, NotNegative, Positive, Strict
 from gonio.errors import DeviceError, RefusedError
 from gonio.rig import SIMULATED, Context
+from gonio_drivers.decimals import decimal
 from gonio_drivers.lines import Line, connecting, open_line
 
 _REAL_REPLY_S = 2.0
@@ -54,6 +55,7 @@ class CS260Config(Strict):
     pipelined: bool = False
     # how long things take, for estimates and deadlines
     drive_nm_s: Positive = 175.0
+    drive_start_s: NotNegative = 0.02  # of every drive, however short
     grating_change_s: NotNegative = 5.0
     filter_step_s: NotNegative = 0.8
     port_change_s: NotNegative = 1.0
@@ -106,9 +108,7 @@ class CS260:
         self._known: dict[str, str] = {}  # last verified answers, by query
         self._wavelength_nm: float | None = None
         self._description = self.query("INFO?")
-        if config.slit_um is not None:
-            for slit in (1, 2):
-                self._set(f"SLIT{slit}MICRONS", f"{config.slit_um:.0f}", duration_s=5.0)
+        self._set_slits()
 
     @property
     def line(self) -> Line:
@@ -151,6 +151,55 @@ class CS260:
         self._known.pop("SHUTTER?", None)
         self._set("SHUTTER", "C", duration_s=0.5, always=True)
 
+    def verify(self) -> None:
+        """Ask for everything that was set, once more.
+
+        Between two readings nothing but the wavelength is asked for.  A monochromator that was switched off
+        and on meanwhile, or whose wheel was turned from its panel, would otherwise go unnoticed.
+
+        Raises
+        ------
+        DeviceError
+            Something is not as it was set; the readings since the last look are not to be trusted.
+        """
+        for question, expected in list(self._known.items()):
+            got = _first(self.query(question))
+            if got != expected:
+                self._known.clear()
+                self._wavelength_nm = None
+                raise DeviceError(
+                    self._line.device,
+                    f"answers {question} with {got}, although {expected} was set: it was switched off and on, "
+                    "or set by somebody else",
+                    "leave it alone while it measures, check its power supply, then repeat",
+                )
+
+    def recover(self) -> str:
+        """Come back to a known state after a failure: line, identity, shutter closed; say what was done.
+
+        Nothing is believed of the instrument's state from here; the next reading sets it anew.
+
+        Raises
+        ------
+        ConnectionFailed
+            The line cannot be opened (yet).
+        DeviceError
+            The instrument does not answer, is another one, or does not close its shutter.
+        """
+        done = "connection opened anew" if self._line.renew() else ""
+        self._known.clear()
+        self._wavelength_nm = None
+        description = self.query("INFO?")
+        if description != self._description:
+            raise DeviceError(
+                self._line.device,
+                f"is another instrument now: {description} instead of {self._description}",
+                "connect the one that the scan began with, or open the rig again",
+            )
+        self._set_slits()
+        self.close_shutter()
+        return done
+
     def go_to(self, wavelength_nm: float) -> float:
         """Drive to a wavelength and return the one read back, nanometres.
 
@@ -184,6 +233,11 @@ class CS260:
             return self._number(self._exchange(statement, "WAVE?", timeout_s=timeout_s))
         self._exchange(statement)
         return self._number(self._exchange("WAVE?", timeout_s=timeout_s))
+
+    def _set_slits(self) -> None:
+        if self._config.slit_um is not None:
+            for slit in (1, 2):
+                self._set(f"SLIT{slit}MICRONS", f"{self._config.slit_um:.0f}", duration_s=5.0)
 
     def _set(self, what: str, value: str, *, duration_s: float, always: bool = False) -> bool:
         """Set something unless it stands there already, verify it, and return whether it was a change."""
@@ -243,7 +297,7 @@ class CS260:
 
     def _number(self, answer: str) -> float:
         try:
-            return float(answer)
+            return decimal(answer)
         except ValueError:
             raise self._line.damaged(answer.encode("ascii", "replace"), "not a number") from None
 
@@ -251,7 +305,7 @@ class CS260:
         """Return an error with the reason that the instrument itself gives, if it gives one."""
         reason, remedy = "", "repeat; if it stays, look at the instrument's own display"
         code = self.query("ERROR?")
-        if code.isdigit() and int(code):
+        if code.isdigit() and len(code) <= 3 and int(code):
             words, remedy = _ERRORS.get(int(code), ("has an unknown error", remedy))
             reason = f": it {words} (error {int(code)})"
         return DeviceError(self._line.device, what + reason, remedy)

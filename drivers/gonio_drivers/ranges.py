@@ -38,6 +38,10 @@ class RangeMemory:
         """Keep a range that gave a good reading."""
         self._remembered[beam, detector] = index
 
+    def forget(self) -> None:
+        """Begin with the largest range again: what was remembered may have been found in a failure."""
+        self._remembered.clear()
+
     def better(self, index: int, magnitude_v: float, *, overload: bool) -> int:
         """Return the range for a signal that was read in range `index`; `index` itself if that is good
         enough.

@@ -16,12 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from gonio.config import Count
+from gonio.config import Count, NotNegative
 from gonio.devices import Beam, FloatArray, Quality, SpectrumReading
 from gonio.errors import DeviceError, RefusedError, ScanStopped
+from gonio.latency import PassTime
 from gonio.rig import Context, DetectorConfig, Driver, SpectrometerConfig
 from gonio_drivers.cs260 import CS260, CS260Config, open_cs260
 from gonio_drivers.ranges import RangeMemory
+from gonio_drivers.scan_time import pass_time
 from gonio_drivers.sr830 import FULL_SCALE_V, SR830, SR830Config, open_sr830
 
 _MOST_RANGE_CHANGES = 8  # from any range to any other, with an overload on the way
@@ -38,6 +40,7 @@ class ScanningConfig(SpectrometerConfig):
 
     monochromator: CS260Config
     lockin: SR830Config
+    range_changes_per_pass: NotNegative = 3.0  # over a sample, for the estimate: its spectrum decides
     detectors: tuple[ScanningDetectorConfig, ...] = Field(min_length=1)
 
     @model_validator(mode="after")
@@ -60,32 +63,30 @@ class ScanningConfig(SpectrometerConfig):
         port = self.detectors[detector].output_port
         return detector + 1 if port is None else port
 
-    def reading_duration_s(self, wavelength_nm: FloatArray, averages: int) -> float:
-        """Return the estimated instrument time of one pass, the drive back to its beginning included,
-        seconds.
+    def averages_for(self, integration_s: float) -> int:
+        """Return how many readings, `SR830Config.spacing_s` apart, fill an integration time."""
+        return max(1, math.ceil(integration_s / self.lockin.spacing_s() - 1e-9))
 
-        Counts settling, drive and changes of grating, filter and detector; not the wires, nor searches for a
-        range.
+    def reading_duration_s(self, wavelength_nm: FloatArray, averages: int | NDArray[np.integer]) -> float:
+        """Return the estimated instrument time of one pass, the drive back to its beginning included,
+        seconds; searches for a range are not counted.
         """
-        wavelengths = [float(w) for w in wavelength_nm]
-        if not wavelengths:
-            return 0.0
-        mono, lockin = self.monochromator, self.lockin
-        total_s = len(wavelengths) * ((averages - 1) * lockin.spacing_s() + lockin.settle_s())
-        for i, (before, here) in enumerate(zip([wavelengths[-1], *wavelengths], wavelengths, strict=False)):
-            total_s += abs(here - before) / mono.drive_nm_s
-            change_s = 0.0
-            if mono.grating_for(before) != mono.grating_for(here):
-                change_s += mono.grating_change_s
-            filters = mono.filter_for(before), mono.filter_for(here)
-            if filters[0] is not None and filters[1] is not None:
-                change_s += mono.filter_step_s * abs(filters[1] - filters[0])
-            if self._detector_of(before) != self._detector_of(here):
-                change_s += mono.port_change_s
-            if change_s or i == 0:
-                change_s += lockin.jump_settle_s() - lockin.settle_s()
-            total_s += change_s
-        return total_s
+        detectors = np.array([self._detector_of(float(w)) for w in wavelength_nm], dtype=np.uint8)
+        after = (float(wavelength_nm[-1]), int(detectors[-1])) if len(detectors) else None
+        return self.pass_time(wavelength_nm, detectors, averages, beam="direct", after=after).instrument_s
+
+    def pass_time(
+        self,
+        wavelength_nm: FloatArray,
+        detector_index: NDArray[np.uint8],
+        averages: int | NDArray[np.integer],
+        *,
+        beam: Beam = "sample",
+        after: tuple[float, int] | None = None,
+        first: bool = False,
+    ) -> PassTime:
+        """Return what one pass takes; see `gonio_drivers.scan_time`."""
+        return pass_time(self, wavelength_nm, detector_index, averages, beam=beam, after=after, first=first)
 
     def _detector_of(self, wavelength_nm: float) -> int:
         """Return the detector for an estimate; which one measures is decided by `RigConfig.detector_for`."""
@@ -115,7 +116,7 @@ class ScanningSpectrometer:
         detector_index: NDArray[np.uint8],
         *,
         beam: Beam = "sample",
-        averages: int = 1,
+        averages: int | NDArray[np.integer] = 1,
         on_reading: Callable[[int], None] | None = None,
     ) -> SpectrumReading:
         """Measure at each wavelength with the given detector, in the given order.
@@ -130,7 +131,7 @@ class ScanningSpectrometer:
             ``sample`` and ``direct`` open the shutter, ``dark`` closes it; each keeps its own amplifier
             ranges.
         averages
-            Readings per wavelength, spaced so that their noise is nearly independent
+            Readings per wavelength, one number or (n_wavelength,), spaced so that their noise is nearly independent
             (`gonio_drivers.sr830.SPACING_TIME_CONSTANTS`).
         on_reading
             Called with the index after each reading; what it raises ends the pass.
@@ -153,7 +154,8 @@ class ScanningSpectrometer:
         self._stop_asked.clear()
         wavelengths = np.asarray(wavelength_nm, dtype=np.float64)
         detectors = np.asarray(detector_index)
-        self._check(wavelengths, detectors, averages)
+        counts = np.broadcast_to(averages, wavelengths.shape)
+        self._check(wavelengths, detectors, counts)
         n = len(wavelengths)
         readback_nm, signal_v, sd_v, time_s = (np.full(n, np.nan) for _ in range(4))
         quality = np.zeros(n, dtype=np.uint16)
@@ -165,21 +167,36 @@ class ScanningSpectrometer:
             retries = self._retries()
             jump |= self._set_light_path(float(wavelengths[i]), int(detectors[i]), beam)
             readback_nm[i] = self._monochromator.go_to(float(wavelengths[i]))
-            samples_v, time_s[i], flags = self._read(beam, int(detectors[i]), averages, jump=jump)
+            samples_v, time_s[i], flags = self._read(beam, int(detectors[i]), int(counts[i]), jump=jump)
             jump = False
             signal_v[i] = samples_v.mean()
-            if averages > 1:
+            if counts[i] > 1:
                 sd_v[i] = samples_v.std(ddof=1)
             if self._retries() != retries:
                 flags |= Quality.RETRIED
             quality[i] = flags
             if on_reading is not None:
                 on_reading(i)
+        self._monochromator.verify()
+        self._lockin.verify()
         return SpectrumReading(readback_nm, signal_v, sd_v, averages, time_s, quality)
 
     def close_shutter(self) -> None:
         """Close the shutter and verify it."""
         self._monochromator.close_shutter()
+
+    def recover(self) -> str:
+        """Come back to a known state after a failure, with the shutter closed; say what was done for it.
+
+        Raises
+        ------
+        DeviceError
+            An instrument does not answer (yet), is another one, or does not do what it is told.
+        """
+        self._stop_asked.clear()
+        self._ranges.forget()
+        parts = {"monochromator": self._monochromator.recover(), "lockin": self._lockin.recover()}
+        return ", ".join(f"{name}: {done}" for name, done in parts.items() if done)
 
     def identify(self) -> Mapping[str, str]:
         """Return what both instruments say of themselves."""
@@ -199,13 +216,15 @@ class ScanningSpectrometer:
             self._monochromator.close()
             self._lockin.close()
 
-    def _check(self, wavelengths: FloatArray, detectors: NDArray[np.uint8], averages: int) -> None:
+    def _check(
+        self, wavelengths: FloatArray, detectors: NDArray[np.uint8], averages: NDArray[np.integer]
+    ) -> None:
         if wavelengths.ndim != 1 or detectors.shape != wavelengths.shape:
             raise ValueError(
                 f"wavelengths {wavelengths.shape} and detectors {detectors.shape} must be equal lists"
             )
-        if averages < 1:
-            raise RefusedError(f"averages = {averages}: at least 1 reading is needed")
+        if np.any(averages < 1):
+            raise RefusedError(f"averages = {averages.min()}: at least 1 reading is needed")
         if len(detectors) and int(detectors.max()) >= len(self._config.detectors):
             raise RefusedError(
                 f"detector {int(detectors.max())} does not exist; the rig has {len(self._config.detectors)}, "

@@ -20,6 +20,7 @@ from pydantic import model_validator
 from gonio.config import Count, Number, Positive, Strict
 from gonio.errors import ConnectionFailed, DeviceError
 from gonio.rig import SIMULATED, Context
+from gonio_drivers.decimals import decimal, whole
 from gonio_drivers.lines import Line, connecting, open_line
 
 FULL_SCALE_V = tuple(
@@ -45,6 +46,7 @@ p_2 = 1 + x, p_3 = 1 + x + x2/3, p_4 = 1 + x + 2 x2/5 + x3/15.
 """
 
 INPUT_OVERLOAD, FILTER_OVERLOAD, OUTPUT_OVERLOAD = 1, 2, 4  # bits of LIAS?
+_LARGEST_V = 10.0  # the largest range is 1 V; far more is a damaged exponent
 
 
 class SR830Config(Strict):
@@ -129,16 +131,10 @@ class SR830:
     def __init__(self, config: SR830Config, context: Context, line: Line) -> None:
         self._config = config
         self._line = line
-        with line.transaction():
-            line.send(b"OUTX 0\r")  # replies to RS-232; the statement itself has none
+        self._status_first = True
+        self._greet()
         self._description = self._identified()
-        time_constant = _index(TIME_CONSTANT_S, config.time_constant_s)
-        assert time_constant is not None
-        self._set("OFLT", time_constant)
-        self._set("OFSL", SLOPES_DB_OCT.index(config.slope_db_oct))
-        if config.phase_deg is not None:
-            self._set_phase(config.phase_deg)
-        self._range = int(self._one_number("SENS?"))
+        self._set_up()
 
     @property
     def line(self) -> Line:
@@ -154,6 +150,50 @@ class SR830:
         """Return what the instrument says of itself."""
         return self._description
 
+    def verify(self) -> None:
+        """Ask for the settings that decide what a reading means, in one exchange.
+
+        Raises
+        ------
+        DeviceError
+            Something is not as it was set; the readings since the last look are not to be trusted.
+        """
+        statements = ("OFLT?", "OFSL?", "SENS?")
+        expected = [self._time_constant, SLOPES_DB_OCT.index(self._config.slope_db_oct), self._range]
+        answers = self._line.query(lambda: self._exchange(";".join(statements), len(statements)))
+        got = [self._numbers(answer, 1)[0] for answer in answers]
+        if got != expected:
+            self._range = -1  # unknown: the next range is set whatever it is
+            raise DeviceError(
+                self._line.device,
+                f"answers {';'.join(statements)} with {', '.join(f'{g:g}' for g in got)}, although "
+                f"{', '.join(str(e) for e in expected)} was set: it was switched off and on, or set at its "
+                "panel",
+                "leave it alone while it measures, check its power supply, then repeat",
+            )
+
+    def recover(self) -> str:
+        """Come back to a known state after a failure: line, identity, settings; say what was done.
+
+        Raises
+        ------
+        ConnectionFailed
+            The line cannot be opened (yet).
+        DeviceError
+            The instrument does not answer, is another one, or does not take a setting.
+        """
+        done = "connection opened anew" if self._line.renew() else ""
+        self._greet()
+        description = self._identified()
+        if description != self._description:
+            raise DeviceError(
+                self._line.device,
+                f"is another instrument now: {description} instead of {self._description}",
+                "connect the one that the scan began with, or open the rig again",
+            )
+        self._set_up()
+        return done
+
     def set_range(self, index: int) -> bool:
         """Select a range and verify it, in one exchange; return whether it is a change."""
         if index == self._range:
@@ -164,15 +204,51 @@ class SR830:
 
     def read(self) -> LockinReading:
         """Return X and Y at one instant and whether anything overloaded since the last look; one exchange."""
-        outputs, status = self._line.query(lambda: self._exchange("SNAP? 1,2;LIAS?", 2))
+        outputs, status = self._line.query(self._look)
         x_v, y_v = self._numbers(outputs, 2)
-        (bits,) = self._numbers(status, 1)
-        overload = bool(int(bits) & (INPUT_OVERLOAD | FILTER_OVERLOAD | OUTPUT_OVERLOAD))
+        if max(abs(x_v), abs(y_v)) > _LARGEST_V:
+            raise self._line.damaged(
+                outputs.encode("latin-1", "replace"), f"more than {_LARGEST_V:g} V, which no range shows"
+            )
+        bits = self._whole(status, 255)
+        overload = bool(bits & (INPUT_OVERLOAD | FILTER_OVERLOAD | OUTPUT_OVERLOAD))
         return LockinReading(x_v, y_v, overload)
 
     def close(self) -> None:
         """Release the line."""
         self._line.close()
+
+    def _look(self) -> tuple[str, str]:
+        """Ask for outputs and status, in one order and the other by turns.
+
+        Replies carry no number.  A reply that comes twice, the second time after the next question, would be
+        taken for the answer to that one; in the other order it has the wrong form.
+        """
+        self._status_first = not self._status_first
+        if self._status_first:
+            status, outputs = self._exchange("LIAS?;SNAP? 1,2", 2)
+        else:
+            outputs, status = self._exchange("SNAP? 1,2;LIAS?", 2)
+        if "," in status:
+            raise self._line.damaged(status.encode("latin-1", "replace"), "not a status")
+        return outputs, status
+
+    def _greet(self) -> None:
+        """Have replies sent to RS-232; the statement itself has none."""
+        with self._line.transaction(self._prove):
+            self._line.send(b"OUTX 0\r")
+
+    def _set_up(self) -> None:
+        config = self._config
+        time_constant = _index(TIME_CONSTANT_S, config.time_constant_s)
+        assert time_constant is not None
+        self._time_constant = time_constant
+        self._set("OFLT", time_constant)
+        self._set("OFSL", SLOPES_DB_OCT.index(config.slope_db_oct))
+        if config.phase_deg is not None:
+            self._set_phase(config.phase_deg)
+        (answer,) = self._line.query(lambda: self._exchange("SENS?", 1))
+        self._range = self._whole(answer, len(FULL_SCALE_V) - 1)
 
     def _identified(self) -> str:
         (answer,) = self._line.query(lambda: self._exchange("*IDN?", 1))
@@ -209,12 +285,21 @@ class SR830:
 
     def _numbers(self, answer: str, count: int) -> list[float]:
         try:
-            numbers = [float(field) for field in answer.split(",")]
+            numbers = [decimal(field) for field in answer.split(",")]
         except ValueError:
             numbers = []
         if len(numbers) != count:
             raise self._line.damaged(answer.encode("latin-1", "replace"), f"not {count} numbers")
         return numbers
+
+    def _whole(self, answer: str, highest: int) -> int:
+        try:
+            number = whole(answer)
+        except ValueError:
+            number = -1
+        if not 0 <= number <= highest:
+            raise self._line.damaged(answer.encode("latin-1", "replace"), f"not one of the whole numbers 0...{highest}")
+        return number
 
     def _exchange(self, statements: str, answers: int) -> list[str]:
         with self._line.transaction(self._prove):

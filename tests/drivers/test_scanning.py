@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gonio.devices import Quality
-from gonio.errors import ConfigError, RefusedError, ReplyError, ScanStopped
+from gonio.errors import ConfigError, DeviceError, RefusedError, ReplyError, ScanStopped
 from gonio.rig import default_rig_text, parse_rig
 from gonio_drivers.cs260 import CS260
 from gonio_drivers.scanning import ScanningSpectrometer
@@ -23,6 +23,22 @@ CONFIG = parse_rig(default_rig_text().replace("pipelined = true", "pipelined = f
 
 def read(x_v: float, overload: int = 0) -> tuple[bytes, bytes]:
     return READ, f"{x_v:g},0\r{overload}\r".encode()
+
+
+TURNED = b"LIAS?;SNAP? 1,2\r"
+
+
+def in_turns(lockin):
+    """Turn every second reading round, as the driver does to know one reply from the one before."""
+    turned = False
+    for request, reply in lockin:
+        if request == READ:
+            if turned:
+                outputs, status = reply.split(b"\r")[:2] if reply else (b"", b"")
+                request = TURNED
+                reply = reply and status + b"\r" + outputs + b"\r"
+        turned ^= request in (READ, TURNED)
+        yield request, reply
 
 
 def sens(index: int) -> tuple[bytes, bytes]:
@@ -45,13 +61,12 @@ OPEN_AT_500 = [
 
 @pytest.fixture
 def spectrometer(scripted, context):
-    def make(mono, lockin):
-        return ScanningSpectrometer(
-            CONFIG,
-            context,
-            CS260(CONFIG.monochromator, context, scripted(INFO, *mono, role="monochromator")),
-            SR830(CONFIG.lockin, context, scripted(*CONNECT, *lockin, role="lockin")),
-        )
+    def make(mono, lockin, *, verifies: bool = False):
+        monochromator = CS260(CONFIG.monochromator, context, scripted(INFO, *mono, role="monochromator"))
+        amplifier = SR830(CONFIG.lockin, context, scripted(*CONNECT, *in_turns(lockin), role="lockin"))
+        if not verifies:
+            monochromator.verify = amplifier.verify = lambda: None
+        return ScanningSpectrometer(CONFIG, context, monochromator, amplifier)
 
     return make
 
@@ -74,6 +89,47 @@ def test_three_exchanges_per_reading_when_nothing_else_changes(spectrometer):
     assert np.isnan(reading.signal_sd_v).all()
     assert (reading.quality == 0).all()
     assert (np.diff(reading.time_s) > 0).all()
+
+
+SETTINGS = b"OFLT?;OFSL?;SENS?\r"
+
+
+def test_at_the_end_of_a_pass_everything_is_still_as_it_was_set(spectrometer):
+    asked = [says("GRAT?", "1"), says("FILTER?", "2"), says("OUTPORT?", "1"), says("SHUTTER?", "O")]
+    device = spectrometer(
+        [*OPEN_AT_500, *drive(500), *asked], [read(0.5), (SETTINGS, b"8\r0\r26\r")], verifies=True
+    )
+    assert measure(device, 500, beam="direct").signal_v.tolist() == [0.5]
+
+
+def test_a_monochromator_that_forgot_its_settings_spoils_the_pass(spectrometer):
+    """Switched off and on in the middle: the shutter is closed, the first grating and filter are in."""
+    device = spectrometer(
+        [*OPEN_AT_500, *drive(500), says("GRAT?", "1"), says("FILTER?", "1")], [read(0.5)], verifies=True
+    )
+    with pytest.raises(DeviceError, match=r"monochromator .* answers FILTER\? with 1, although 2 was set"):
+        measure(device, 500, beam="direct")
+
+
+def test_a_lockin_set_at_its_panel_spoils_the_pass(spectrometer):
+    asked = [says("GRAT?", "1"), says("FILTER?", "2"), says("OUTPORT?", "1"), says("SHUTTER?", "O")]
+    device = spectrometer(
+        [*OPEN_AT_500, *drive(500), *asked], [read(0.5), (SETTINGS, b"10\r0\r26\r")], verifies=True
+    )
+    with pytest.raises(DeviceError, match=r"lockin .* with 10, 0, 26, although 8, 0, 26 was set"):
+        measure(device, 500, beam="direct")
+
+
+def test_a_reply_that_comes_twice_is_not_the_next_reading(spectrometer):
+    from .test_sr830 import IDN
+
+    device = spectrometer(
+        [*OPEN_AT_500, *drive(500), *drive(510)],
+        [read(0.5), (TURNED, b"0.5,0\r0\r0\r0.6,0\r"), IDN, read(0.6)],
+    )
+    reading = measure(device, 500, 510, beam="direct")
+    assert reading.signal_v.tolist() == [0.5, 0.6]
+    assert reading.quality.tolist() == [0, Quality.RETRIED]
 
 
 def test_the_detector_change_sets_the_port_and_only_that(spectrometer):

@@ -81,7 +81,7 @@ def test_a_late_reading_is_never_the_next(lockin):
     amplifier = lockin(
         (READ, [SILENCE, b"1.0,0\r0\r"]),  # drained
         IDN,
-        (READ, b"2.0,0\r0\r"),
+        (b"LIAS?;SNAP? 1,2\r", b"0\r2.0,0\r"),  # the two answers change places from one look to the next
         (READ, []),
         (b"*IDN?\r", b"3.0,0\r0\r"),  # later than quiet: not the identity
         IDN,
