@@ -92,8 +92,9 @@ class ZaberReplies(DriverTarget):
     def is_said(self, value: Any, sent: bytes) -> bool:
         """The position is what another valid line says, or another flag line made the flags differ."""
         valid = [body for body in _zaber_bodies(sent) if body.startswith(b"01 1 ")]
-        position, moving = value[0], b"BUSY" if value[1] else b"IDLE"
-        return any(re.search(rb" OK %s .. %s0*%d$" % (moving, b"-" if position < 0 else b"", abs(position)), body) for body in valid)
+        moving = b"BUSY" if value[1] else b"IDLE"
+        shown = (re.search(rb" OK +%s +.. +([+-]?\d+\.?\d*)" % moving, body) for body in valid)
+        return any(match is not None and round(float(match[1])) == value[0] for match in shown)
 
 
 def _zaber_bodies(sent: bytes) -> list[bytes]:

@@ -17,7 +17,7 @@ from gonio_drivers.lines import Line
 from gonio_drivers.sr830 import FULL_SCALE_V, SR830, SR830Config
 
 PULSES = 143360
-LARGEST_SIGNAL_V = 2.0  # no range of the SR830 shows as much
+LARGEST_SIGNAL_V = 10.0  # the largest range of the SR830 is 1 V
 
 
 class ElliptecReplies(DriverTarget):
@@ -67,9 +67,9 @@ class ElliptecReplies(DriverTarget):
         )
 
     def is_absurd(self, value: Any) -> bool:
-        """A rotator does not stand a hundred turns away, nor anywhere but at S or P after `select`."""
+        """A rotator does not stand ten turns away, nor anywhere but at S or P after `select`."""
         if self.what == "gp":
-            return not abs(value) <= 36000.0
+            return not abs(value) <= 3600.0
         return not abs(value - (0.0 if self.what == "s" else 90.0)) <= 0.1
 
 
@@ -176,17 +176,17 @@ class SR830Replies(DriverTarget):
 
     def _device(self, request: bytes) -> bytes:
         out = b""
+        bits = self.rng.choice((0, 0, 0, 4, 1))
         for statement in request.decode("ascii").strip().split(";"):
             name = statement[:4]
             if statement == "*IDN?":
                 out += b"Stanford_Research_Systems,SR830,s/n83022,ver1.07\r"
             elif statement == "SNAP? 1,2":
                 x, y = (f"{self.rng.uniform(-1, 1) * 10 ** self.rng.randint(-6, 0):g}" for _ in range(2))
-                self.bits = self.rng.choice((0, 0, 0, 4, 1))
-                self.said.append((float(x), float(y), bool(self.bits)))
+                self.said.append((float(x), float(y), bool(bits)))
                 out += f"{x},{y}\r".encode("ascii")
             elif statement == "LIAS?":
-                out += b"%d\r" % self.bits
+                out += b"%d\r" % bits
             elif statement.endswith("?"):
                 out += self.settings[name].encode("ascii") + b"\r"
             else:

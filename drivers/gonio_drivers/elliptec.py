@@ -20,6 +20,7 @@ from gonio_drivers.lines import Line, NoReply, connecting, open_line
 
 _MOVE_S = 5.0  # instrument seconds: a full turn with friction takes 2 to 3
 _REAL_MOVE_S = 2.0  # at least so much real time, whatever the simulated clock
+_FARTHEST_DEG = 3600.0  # ten turns; a flipped bit of the 32 reads as up to five million degrees
 
 _STATUS: Mapping[int, tuple[str, str]] = {
     1: ("communication time-out", "check the cable"),
@@ -228,9 +229,11 @@ class ElliptecRotator:
                 digits
             ):
                 raise line.damaged(raw, f"not an answer to '{self._config.device}{command}'")
+            if prefix[1:] == "GS" and len(digits) != 2:
+                raise line.damaged(raw, "a status has 2 digits")
             if prefix[1:] == kind:
-                if kind == "PO" and len(digits) != 8:
-                    raise line.damaged(raw, "a position has 8 digits")
+                if kind == "PO" and not (len(digits) == 8 and abs(self._degrees(digits)) <= _FARTHEST_DEG):
+                    raise line.damaged(raw, f"a position has 8 digits and is within {_FARTHEST_DEG:g} deg")
                 line.answered()
                 return digits
             status = int(digits, 16)
