@@ -94,6 +94,21 @@ def cut_at(pieces: list[Piece], low: float, high: float) -> tuple[list[Piece], f
     return kept, None
 
 
+def cut_after(pieces: list[Piece], duration_s: float) -> list[Piece]:
+    """Return the pieces of the first `duration_s`; they end abruptly, on a whole step."""
+    kept: list[Piece] = []
+    for piece in pieces:
+        left_s = pieces[0].start_s + duration_s - piece.start_s
+        if left_s <= 0:
+            break
+        if left_s < piece.duration_s:
+            end = float(round(piece.position(piece.start_s + left_s)))
+            kept.append(replace(piece, duration_s=left_s, end=end))
+            break
+        kept.append(piece)
+    return kept
+
+
 def _time_to(piece: Piece, position: float) -> float:
     """Time from the piece's start to `position`, which lies between its start and its end."""
     distance = position - piece.start

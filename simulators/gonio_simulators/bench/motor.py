@@ -13,10 +13,10 @@ from __future__ import annotations
 import enum
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from gonio_simulators.bench.config import HOME_OVERSHOOT_DEG, ZONE_MARGIN_DEG
-from gonio_simulators.bench.motion import Piece, cut_at, decelerate, pieces_to
+from gonio_simulators.bench.motion import Piece, cut_after, cut_at, decelerate, pieces_to
 from gonio_simulators.clock import BenchClock
 
 HOMING_SPEED = 0.5
@@ -30,6 +30,29 @@ class Fault(enum.Enum):
     LOW_LIMIT = "limit switch towards falling counts"
     HIGH_LIMIT = "limit switch towards rising counts"
     STALL = "stalled"
+    OVER_TEMPERATURE = "driver too hot, motor released"
+    ENCODER = "encoder failed, motor released"
+
+
+RELEASED = frozenset((Fault.OVER_TEMPERATURE, Fault.ENCODER))
+"""Faults after which the driver does not drive until they are cleared."""
+
+
+@dataclass(frozen=True, slots=True)
+class Disturbance:
+    """What goes wrong in a move that begins; `happened` is told the bench time when it does.
+
+    Of the effects one is chosen: a `fault` (``LOW_LIMIT`` stands for the switch on the side the motor runs
+    to), lost steps that the counter does not see (`slips`), or a hand on the knob (`hand_steps`).
+    """
+
+    part: float  # of the move's duration that passes before
+    happened: Callable[[float], None]
+    fault: Fault = Fault.NONE
+    hold_s: float = 0.0  # the fault cannot be cleared before
+    slips: bool = False
+    hand_steps: float = 0.0
+    hand_s: float = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +90,8 @@ class Motor:
         self.hardware = hardware
         self.clock = clock
         self.before_command = before_command
+        self.disturb: Callable[[bool], Disturbance | None] | None = None
+        """Asked at the beginning of each move (True: of a homing) whether something goes wrong in it."""
         scale = abs(hardware.steps_per_deg)
         self.speed_steps_s: float = hardware.speed_deg_s * scale
         self.acceleration_steps_s2: float = hardware.acceleration_deg_s2 * scale
@@ -78,12 +103,22 @@ class Motor:
         self._rest = float(round(self._steps(hardware.power_on_deg)))
         self._arm = self._rest
         self._count_origin = self._rest  # the counter says 0 where power came on
+        self._encoder_origin = self._rest
         self._pieces: list[Piece] = []
         self._arms: list[float] = []  # arm at the start of each piece
         self._end_s = -math.inf
         self._end_angle_deg = self._angle(self._arm)
         self._pending_fault = Fault.NONE
         self._homing = False
+        self._disturbance: Disturbance | None = None
+        self._disturbed_s = math.inf
+        self._slipped_s = math.inf  # from then on the shaft stands while the counter runs on
+        self._held_until_s = -math.inf
+        self._manual = False
+        self.interrupted_by_hand = False
+        """A hand ended a movement; until `clear_fault`."""
+        self.displaced = False
+        """Something pushed the axis while it stood; until `clear_fault`."""
         self._up_edges, self._down_edges = self._edges()
 
     def move_absolute(self, target_steps: int) -> None:
@@ -91,9 +126,8 @@ class Motor:
         now_s = self._begin()
         position, speed = self._motion(now_s)
         target = float(target_steps) + self._count_origin
-        self._run(
-            now_s, pieces_to(now_s, position, speed, target, self.speed_steps_s, self.acceleration_steps_s2)
-        )
+        pieces = pieces_to(now_s, position, speed, target, self.speed_steps_s, self.acceleration_steps_s2)
+        self._run(now_s, pieces, commanded=True)
 
     def home(self) -> None:
         """Go to the home switch at reduced speed, the last bit with a falling angle."""
@@ -105,7 +139,8 @@ class Motor:
         pieces = pieces_to(now_s, position, speed, beyond, fast, acceleration)
         turn_s = pieces[-1].start_s + pieces[-1].duration_s if pieces else now_s
         self._referenced = False
-        self._run(now_s, pieces + pieces_to(turn_s, beyond, 0.0, 0.0, fast, acceleration), homing=True)
+        pieces += pieces_to(turn_s, beyond, 0.0, 0.0, fast, acceleration)
+        self._run(now_s, pieces, homing=True, commanded=True)
 
     def stop(self) -> None:
         """Decelerate and stand still on a whole step."""
@@ -119,15 +154,50 @@ class Motor:
         self._run(now_s, pieces_to(now_s, position, speed, whole, abs(speed), self.acceleration_steps_s2))
 
     def clear_fault(self) -> None:
-        """Forget the latched fault; the motor stays where it is."""
-        self._settle(self.clock.now_s())
-        self._fault = Fault.NONE
+        """Forget the latched fault, unless its cause lasts; the motor stays where it is."""
+        now_s = self.clock.now_s()
+        self._settle(now_s)
+        self.interrupted_by_hand = self.displaced = False
+        if now_s >= self._held_until_s:
+            self._fault = Fault.NONE
+
+    def turn_by_hand(self, steps: float, duration_s: float) -> None:
+        """Turn the manual knob: the controller follows it, counts, and drops the movement it was in."""
+        now_s = self._begin()
+        if self.is_moving() and not self._manual:
+            self.interrupted_by_hand = True
+        position, _ = self._motion(now_s)
+        self._run(now_s, _by_hand(now_s, position, steps, duration_s), manual=True)
+
+    def displace(self, steps: float) -> None:
+        """Push the axis while the motor holds; an encoder sees where it then stands."""
+        now_s = self._begin()
+        position, _ = self._motion(now_s)
+        instant = Piece(now_s, 0.0, position, 0.0, 0.0, position + float(round(steps)))
+        self._run(now_s, [instant])
+        self.displaced = True
+
+    def power_cycle(self) -> None:
+        """Switch off and on: the motor stands at once, and the controller knows nothing of before."""
+        now_s = self._begin()
+        here = float(round(self._motion(now_s)[0]))
+        self._run(now_s, [])
+        self._rest = self._count_origin = self._encoder_origin = here
+        self._referenced = False
+        self._held_until_s = -math.inf
+        self.clear_fault()
 
     def position_steps(self) -> int:
         """Return the controller's count; before homing it is off by an unknown constant."""
         now_s = self.clock.now_s()
         self._settle(now_s)
         return round(self._motion(now_s)[0] - self._count_origin)
+
+    def encoder_steps(self) -> int:
+        """Return what an encoder on the shaft counts: the same, unless the motor lost steps."""
+        now_s = self.clock.now_s()
+        self._settle(now_s)
+        return round(self._motion(min(now_s, self._slipped_s))[0] - self._encoder_origin)
 
     def speed_now_steps_s(self) -> float:
         """Return the signed speed of the shaft, steps/s."""
@@ -152,6 +222,14 @@ class Motor:
     def is_homing(self) -> bool:
         """Say whether the home routine runs."""
         return self.is_moving() and self._homing
+
+    def is_manual(self) -> bool:
+        """Say whether a hand turns the motor."""
+        return self.is_moving() and self._manual
+
+    def is_released(self) -> bool:
+        """Say whether a fault keeps the driver from driving."""
+        return self.fault in RELEASED
 
     @property
     def referenced(self) -> bool:
@@ -201,11 +279,25 @@ class Motor:
             self.before_command()
         now_s = self.clock.now_s()
         self._settle(now_s)
+        self._take_slip_into_account(now_s)
         return now_s
 
-    def _run(self, now_s: float, pieces: list[Piece], *, homing: bool = False) -> None:
+    def _run(
+        self,
+        now_s: float,
+        pieces: list[Piece],
+        *,
+        homing: bool = False,
+        commanded: bool = False,
+        manual: bool = False,
+    ) -> None:
+        if commanded and self.is_released():
+            pieces, homing = [], False
         position, _ = self._motion(now_s)
         arm = self._arm_at(now_s)
+        self._disturbance, self._disturbed_s, self._slipped_s = None, math.inf, math.inf
+        if commanded and pieces and self.disturb is not None:
+            pieces = self._disturbed(pieces, self.disturb(homing))
         top, up_fault = min(
             ((e, f) for e, f in self._up_edges if e >= arm - 1.0), default=(math.inf, Fault.NONE), key=_edge
         )
@@ -220,24 +312,74 @@ class Motor:
         for piece in kept:
             self._arms.append(arm)
             arm = self._drag(arm, piece.end)
-        self._end_angle_deg = self._angle(arm)
-        self._homing = homing
+        self._homing, self._manual = homing, manual
         self._end_s = kept[-1].start_s + kept[-1].duration_s if kept else now_s
-        self._pending_fault = (
-            Fault.NONE if border is None else up_fault if border == top - self._play[0] else down_fault
-        )
+        self._end_angle_deg = self._angle(arm if self._slipped_s > self._end_s else self._arm_at(self._end_s))
+        if border is not None:
+            self._pending_fault = up_fault if border == top - self._play[0] else down_fault
+            if self._end_s < self._disturbed_s:  # a real switch was there first
+                self._disturbance = None
+        else:
+            self._pending_fault = self._fault_of(self._disturbance, kept)
         self._settle(now_s)
+
+    def _disturbed(self, pieces: list[Piece], disturbance: Disturbance | None) -> list[Piece]:
+        """Return the pieces as they become with a disturbance in them."""
+        if disturbance is None:
+            return pieces
+        start_s, last = pieces[0].start_s, pieces[-1]
+        after_s = disturbance.part * (last.start_s + last.duration_s - start_s)
+        self._disturbance, self._disturbed_s = disturbance, start_s + after_s
+        if disturbance.slips:
+            self._slipped_s = self._disturbed_s
+            return pieces
+        kept = cut_after(pieces, after_s)
+        if disturbance.hand_steps:
+            position = kept[-1].end if kept else pieces[0].start
+            kept += _by_hand(self._disturbed_s, position, disturbance.hand_steps, disturbance.hand_s)
+        return kept
+
+    @staticmethod
+    def _fault_of(disturbance: Disturbance | None, kept: list[Piece]) -> Fault:
+        if disturbance is None or disturbance.fault is not Fault.LOW_LIMIT:
+            return Fault.NONE if disturbance is None else disturbance.fault
+        rising = bool(kept) and kept[-1].end > kept[-1].start
+        return Fault.HIGH_LIMIT if rising else Fault.LOW_LIMIT
+
+    def _take_slip_into_account(self, now_s: float) -> None:
+        """From a new command on, reckon from where the shaft is; the counter keeps its wrong belief."""
+        if now_s < self._slipped_s:
+            return
+        claimed, speed = self._motion(now_s)
+        arm, shaft = self._arm_at(now_s), self._motion(self._slipped_s)[0]
+        self._count_origin += shaft - claimed
+        self._rest, self._arm = shaft, arm
+        self._pieces, self._arms = [Piece(now_s, 0.0, shaft, speed, 0.0, shaft)], [arm]
+        self._end_s = min(self._end_s, now_s) if speed == 0 else self._end_s
+        self._slipped_s = math.inf
 
     def _settle(self, now_s: float) -> None:
         """Take note of what the end of a motion changes: the fault, the reference."""
+        if now_s >= self._disturbed_s:
+            self._take_note_of_disturbance()
         if now_s < self._end_s:
             return
         if self._pending_fault is not Fault.NONE:
             self._fault, self._pending_fault = self._pending_fault, Fault.NONE
         elif self._homing:
             self._referenced = True
-            self._count_origin = 0.0
-        self._homing = False
+            self._count_origin = self._encoder_origin = 0.0
+        self._homing = self._manual = False
+
+    def _take_note_of_disturbance(self) -> None:
+        disturbance, time_s = self._disturbance, self._disturbed_s
+        self._disturbance, self._disturbed_s = None, math.inf
+        if disturbance is None:
+            return
+        self._held_until_s = time_s + disturbance.hold_s
+        if disturbance.hand_steps:
+            self._homing, self._manual, self.interrupted_by_hand = False, True, True
+        disturbance.happened(time_s)
 
     def _piece(self, time_s: float) -> int:
         """Index of the piece that is under way at a time, the last one after the end."""
@@ -256,12 +398,19 @@ class Motor:
     def _arm_at(self, time_s: float) -> float:
         if not self._pieces:
             return self._arm
+        time_s = min(time_s, self._slipped_s)
         i = self._piece(time_s)
         return self._drag(self._arms[i], self._pieces[i].position(time_s))
 
     def _drag(self, arm: float, shaft: float) -> float:
         """Arm after the shaft went to `shaft` without reversal."""
         return min(max(arm, shaft + self._play[0]), shaft + self._play[1])
+
+
+def _by_hand(start_s: float, position: float, steps: float, duration_s: float) -> list[Piece]:
+    """A turn of the knob at constant speed."""
+    end = float(round(position + steps))
+    return [Piece(start_s, duration_s, position, (end - position) / duration_s, 0.0, end)]
 
 
 def _edge(entry: tuple[float, Fault]) -> float:
