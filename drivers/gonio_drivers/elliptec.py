@@ -1,12 +1,17 @@
 """The polarizer in a Thorlabs Elliptec rotator (ELL14): ``polarizer.driver = "elliptec"``.
 
 Replies carry no number, only the address and the kind: ``PO`` a position, ``GS`` a status.  A move is
-answered when it has ended. Reference: Thorlabs, ELLx modules protocol manual.
+answered when it has ended: with its position, by some firmware with status 0; on the way some send the status
+busy, or positions that they pass.  So where a move ended is taken from positions asked for afterwards.
+Reference: Thorlabs, ELLx modules protocol manual.
 """
 
 from __future__ import annotations
 
+import math
+import re
 import threading
+import time
 from collections.abc import Mapping
 from typing import Annotated
 
@@ -19,6 +24,10 @@ from gonio.rig import Context, Driver, PolarizerConfig
 from gonio_drivers.lines import Line, NoReply, connecting, open_line
 
 _MOVE_S = 5.0  # instrument seconds: a full turn with friction takes 2 to 3
+_LOOK_S = 0.05  # instrument seconds between two looks at a module that may still move
+_BUSY_ATTEMPTS = 100
+_BUSY = "busy"
+_REPLY = re.compile(rb"([0-9A-Fa-f])([A-Z]{2})([0-9A-Fa-f]+)")
 _REAL_MOVE_S = 2.0  # at least so much real time, whatever the simulated clock
 _FARTHEST_DEG = 3600.0  # ten turns; a flipped bit of the 32 reads as up to five million degrees
 
@@ -42,7 +51,7 @@ _STATUS: Mapping[int, tuple[str, str]] = {
 class ElliptecConfig(PolarizerConfig):
     """``[polarizer]`` with ``driver = "elliptec"``."""
 
-    device: Annotated[str, Field(pattern="^[0-9A-F]$")] = "0"  # address on its bus
+    device: Annotated[str, Field(pattern="^[0-9A-Fa-f]$")] = "0"  # address on its bus
     pulses_per_turn: Count = 143360
     tolerance_deg: Positive = 0.1
     home_on_connect: bool = True  # the module counts from wherever it was switched on
@@ -58,7 +67,9 @@ class ElliptecRotator:
     def __init__(self, config: ElliptecConfig, context: Context, line: Line) -> None:
         self._config = config
         self._line = line
-        self._device = f"{line.device} (Elliptec module {config.device})"
+        self._address = config.device.upper()
+        self._clock = context.clock
+        self._device = f"{line.device} (Elliptec module {self._address})"
         # The reply to a move comes when it has ended, in the module's own time.
         self._move_timeout_s = _REAL_MOVE_S + _MOVE_S / context.clock.speed
         self._stop_asked = threading.Event()
@@ -92,7 +103,7 @@ class ElliptecRotator:
             # Without its reply the module may have restarted on the way, and count from there.
             self._home()
             self._exchange(f"ma{pulses & 0xFFFFFFFF:08X}", "PO", self._move_timeout_s)
-        here_deg = self.position_deg()
+        here_deg = self._came_to_rest(target_deg)
         if self._stop_asked.is_set():
             raise MotionError(
                 self._device, f"was stopped on request at {here_deg:.2f} deg", "select again to go on"
@@ -145,7 +156,7 @@ class ElliptecRotator:
 
     def position_deg(self) -> float:
         """Return the position read back from the module, degrees."""
-        return self._degrees(self._line.query(lambda: self._exchange("gp", "PO")))
+        return self._degrees(self._query("gp", "PO"))
 
     def identify(self) -> str:
         """Return type, serial number and firmware."""
@@ -177,7 +188,7 @@ class ElliptecRotator:
         if not self._move("ho0"):  # 0: clockwise
             # A module that restarted says 0 wherever it stands: only a reply to the search itself counts.
             self._exchange("ho0", "PO", self._move_timeout_s)
-        here_deg = self.position_deg()
+        here_deg = self._came_to_rest(0.0)
         if not self._is_at(here_deg, 0.0):
             raise MotionError(
                 self._device, f"is at {here_deg:.2f} deg after homing", "check that it turns freely"
@@ -195,14 +206,26 @@ class ElliptecRotator:
             return False
         return True
 
+    def _came_to_rest(self, target_deg: float) -> float:
+        """Return where the module stands: at the target, or where it is seen twice, degrees."""
+        end_s = time.monotonic() + self._move_timeout_s
+        before_deg, here_deg = math.nan, self.position_deg()
+        while not self._is_at(here_deg, target_deg) and here_deg != before_deg and time.monotonic() < end_s:
+            self._clock.sleep(_LOOK_S)
+            before_deg, here_deg = here_deg, self.position_deg()
+        return here_deg
+
     def _identified(self) -> str:
-        digits = self._line.query(lambda: self._exchange("in", "IN"))
+        digits = self._query("in", "IN")
         # type (2), serial number (8), year (4), firmware (2), hardware (2), travel (4), pulses per unit (8)
         if len(digits) != 30:
             raise DeviceError(
                 self._device, f"identified itself as '{digits}'", "check that the module is an ELL14"
             )
-        pulses = int(digits[22:30], 16)
+        travel_deg, pulses = int(digits[18:22], 16), int(digits[22:30], 16)
+        # Of a turn; some firmware tells those of one degree, rounded down.
+        if 0 <= self._config.pulses_per_turn - pulses * travel_deg < travel_deg:
+            pulses = self._config.pulses_per_turn
         if pulses != self._config.pulses_per_turn:
             raise DeviceError(
                 self._device,
@@ -210,6 +233,16 @@ class ElliptecRotator:
                 "correct pulses_per_turn in the rig file",
             )
         return f"Thorlabs ELL{int(digits[:2], 16)}, serial {digits[2:10]}, firmware {digits[14]}.{digits[15]}"
+
+    def _query(self, command: str, kind: str) -> str:
+        """Ask, and again while a move of whoever was here before makes the module say busy."""
+        for attempt in range(_BUSY_ATTEMPTS):
+            if attempt:
+                self._clock.sleep(_LOOK_S)
+            digits = self._line.query(lambda: self._exchange(command, kind))
+            if digits != _BUSY:
+                return digits
+        raise MotionError(self._device, "stays busy (status 9)", "switch it off and on, then home it")
 
     def _exchange(self, command: str, kind: str, timeout_s: float | None = None) -> str:
         """Send one command and return the hexadecimal digits of its reply."""
@@ -219,39 +252,43 @@ class ElliptecRotator:
     def _ask(self, command: str, kind: str, timeout_s: float | None = None) -> str:
         line = self._line
         # A command has no terminator: its letters say how long it is.
-        line.send(f"{self._config.device}{command}".encode("ascii"))
+        line.send(f"{self._address}{command}".encode("ascii"))
         deadline_s = line.deadline_s(timeout_s)
+        is_move = timeout_s is not None
         while True:
-            raw = line.read_until(b"\n", deadline_s).rstrip(b"\r")
-            text = raw.decode("latin-1")
-            prefix, digits = text[:3], text[3:]
-            if prefix not in (f"{self._config.device}{kind}", f"{self._config.device}GS") or not _is_hex(
-                digits
-            ):
-                raise line.damaged(raw, f"not an answer to '{self._config.device}{command}'")
-            if prefix[1:] == "GS" and len(digits) != 2:
+            raw = line.read_line(deadline_s)
+            match = _REPLY.fullmatch(raw.strip())
+            if match is None:
+                raise line.damaged(raw, f"not an answer to '{self._address}{command}'")
+            address, said, digits = (text.decode() for text in match.groups())
+            if address.upper() != self._address:
+                line.stale(raw)  # another module of the bus talks
+                continue
+            if said not in (kind, "GS"):
+                raise line.damaged(raw, f"not an answer to '{self._address}{command}'")
+            if said == "GS" and len(digits) != 2:
                 raise line.damaged(raw, "a status has 2 digits")
-            if prefix[1:] == kind:
+            if said == kind:
                 if kind == "PO" and not (len(digits) == 8 and abs(self._degrees(digits)) <= _FARTHEST_DEG):
                     raise line.damaged(raw, f"a position has 8 digits and is within {_FARTHEST_DEG:g} deg")
                 line.answered()
-                return digits
+                return digits.upper()
             status = int(digits, 16)
-            if status == 9 and timeout_s is not None:
+            if status == 9 and is_move:
                 continue  # busy: the move goes on, its own reply follows
             line.answered()
+            if status == 9:
+                return _BUSY
+            if status == 0 and is_move:
+                return ""  # it has ended; where, is for the read-back to say
             fault, remedy = _STATUS.get(status, (f"unknown status {status}", "see the module's manual"))
             if status == 0:
-                fault, remedy = f"answered '{text}' instead of a position", "repeat"
+                fault, remedy = f"answered '{raw.decode('ascii')}' instead of a position", "repeat"
             raise MotionError(self._device, f"{fault} (status {status})", remedy)
 
     def _prove(self) -> None:
         """A status cannot be mistaken for the late reply to a move or a position query."""
         self._ask("gs", "GS")
-
-
-def _is_hex(digits: str) -> bool:
-    return bool(digits) and all(digit in "0123456789ABCDEF" for digit in digits)
 
 
 def open_polarizer(config: ElliptecConfig, context: Context) -> ElliptecRotator:

@@ -49,7 +49,8 @@ def test_negative_angles_are_twos_complement(rotator):
 
 
 def test_standing_elsewhere_is_an_error(rotator):
-    polarizer = rotator(AT_ZERO, (b"0ma00004600", b"0PO00004600\r\n"), (b"0gp", b"0PO00004500\r\n"))
+    elsewhere = (b"0gp", b"0PO00004500\r\n")
+    polarizer = rotator(AT_ZERO, (b"0ma00004600", b"0PO00004600\r\n"), elsewhere, elsewhere)
     with pytest.raises(
         MotionError, match=r"polarizer at scripted .*is at 44\.36 deg instead of 45 \+- 0\.1 deg \(P\)"
     ):
