@@ -19,6 +19,7 @@ from gonio_simulators.bench.config import (
     BenchConfig,
     DetectorTruth,
 )
+from gonio_simulators.bench.disturbance import LightDisturbance
 from gonio_simulators.bench.lockin import DetectorSignal, Lockin
 from gonio_simulators.bench.monochromator import LightPath, Monochromator
 from gonio_simulators.bench.motor import Motor, MotorHardware
@@ -79,6 +80,8 @@ class Bench:
         )
         lamp_rng, noise_rng = (np.random.default_rng([simulation.seed, k]) for k in (1, 2))
         self._lamp = Lamp(simulation.noise.lamp_drift_per_hour, lamp_rng)
+        self.disturbance: LightDisturbance | None = None
+        """What happens to lamp and detectors beside their drift and noise; None for nothing."""
         self._known_light: dict[tuple[object, ...], float] = {}
         self._lockin: Lockin | None = None
         self.lockin = self._lockin = Lockin(
@@ -98,8 +101,28 @@ class Bench:
         """Return what the selected detector gives the amplifier at a bench time since the last command."""
         path = self.monochromator.state_at(time_s)
         detector = self._detectors[path.output_port]
+        light = self._light_at(time_s, path, detector)
+        if self.disturbance is None:
+            return detector.signal(light)
+        light *= self.disturbance.lamp_power(time_s)
+        return self.disturbance.seen_by(detector.name, detector.signal(light), time_s)
+
+    @property
+    def detector_names(self) -> tuple[str, ...]:
+        """Names of the detectors, in the order of the rig file."""
+        return tuple(detector.name for detector in self._detectors.values())
+
+    def disturb_light(self) -> LightDisturbance:
+        """Return the disturbance of lamp and detectors, with the past integrated up to now."""
+        self._catch_up()
+        if self.disturbance is None:
+            self.disturbance = LightDisturbance()
+        return self.disturbance
+
+    def _light_at(self, time_s: float, path: LightPath, detector: Detector) -> float:
+        """Light on a detector at a time, in units of its best 100 % beam."""
         if not path.shutter_open or path.blocked:
-            return detector.signal(0.0)
+            return 0.0
         theta_i, theta_mes = self.theta_i.angle_at(time_s), self.theta_mes.angle_at(time_s)
         rotator = self.polarizer.angle_at(time_s)
         key = (path, theta_i, theta_mes, rotator)
@@ -109,7 +132,7 @@ class Bench:
             light = self._light(detector, path, theta_i, theta_mes, rotator, flying=flying)
             if not flying:
                 self._remember(key, light)
-        return detector.signal(light * self._lamp.power(time_s))
+        return light * self._lamp.power(time_s)
 
     def _remember(self, key: tuple[object, ...], light: float) -> None:
         """Keep the last few states that stood still, as a reading asks for the same one several times."""
@@ -193,7 +216,12 @@ class Bench:
 
     def _moving_between(self, start_s: float, end_s: float) -> list[tuple[float, float]]:
         motions = [m for m in self._motions() if m[1] > start_s and m[0] < end_s]
-        return motions + self.monochromator.changes_between(start_s, end_s)
+        changes = motions + self.monochromator.changes_between(start_s, end_s)
+        return (
+            changes
+            if self.disturbance is None
+            else changes + self.disturbance.changes_between(start_s, end_s)
+        )
 
     def _catch_up(self) -> None:
         """Let the amplifier integrate the past before a command rewrites it."""

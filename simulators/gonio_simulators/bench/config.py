@@ -251,6 +251,8 @@ class SimulationTable(Strict):
 
     clock_speed: Positive = 1.0
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
+    faults: tuple[str, ...] = ()  # see docs/faults.md; what they say is checked where they are injected
+    fault_log: str | None = None
     truth: TruthTable
     beam: BeamTable = BeamTable()
     sample: SampleTable = SampleTable()

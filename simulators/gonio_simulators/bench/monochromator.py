@@ -20,6 +20,7 @@ FILTER_STEP_S = 0.8  # from one place of the wheel to the next
 OUTPUT_CHANGE_S = 1.0
 SHUTTER_S = 0.02
 SLIT_STEP_S = 0.5
+POWER_ON_S = 10.0  # the drive looks for its home
 
 DRIVE_DECIMALS = 2
 """The drive moves in steps of 0.01 nm; where it stands is as exact as it was asked for."""
@@ -28,6 +29,24 @@ NOMINAL_SLIT_UM = 600.0
 """Slit width at which the detectors see `full_beam_v`."""
 
 EVERYTHING_NM = (1.0, 100_000.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Stuck:
+    """Something does not do what it was told."""
+
+    silent: bool  # the controller believes that it did
+    error_code: int  # what the controller notices, -1 for nothing
+    part: float = 0.0  # of the way that is made
+
+
+class Notice(NamedTuple):
+    """What the controller believes of its mechanics; None: what is true."""
+
+    wavelength_nm: float | None = None
+    grating: int | None = None
+    filter: int | None = None
+    shutter_open: bool | None = None
 
 
 class LightPath(NamedTuple):
@@ -83,8 +102,13 @@ class Monochromator:
         self.output_ports = tuple(output_ports)
         self.clock = clock
         self.before_command = before_command
+        self.interfere: Callable[[str], Stuck | None] | None = None
+        """Asked before each change of "wavelength", "grating", "filter" or "shutter" whether it sticks."""
+        self.error_code = -1
+        """What went wrong in the last command, in the controller's code; -1 for nothing."""
+        self._believes = Notice()
         grating, low = next((n, r[0]) for n, r in self.gratings.items())
-        self._now = LightPath(
+        self._power_on = self._now = LightPath(
             wavelength_nm=max(low, 500.0) if low < 500.0 < self.gratings[grating][1] else low,
             grating=grating,
             filter=next(iter(self.filters)),
@@ -102,23 +126,45 @@ class Monochromator:
             raise ValueError(
                 f"wavelength = {wavelength_nm:g} nm is outside the drive's range {low:g}...{high:g} nm"
             )
-        distance = abs(wavelength_nm - self._now.wavelength_nm)
+        start_nm = self._now.wavelength_nm
+        target_nm = wavelength_nm = float(wavelength_nm)
+        stuck = self._stuck("wavelength", start_nm != target_nm)
+        self._believes = self._believes._replace(wavelength_nm=None)
+        if stuck is not None:
+            wavelength_nm = round(start_nm + stuck.part * (target_nm - start_nm), DRIVE_DECIMALS)
+            if stuck.silent:
+                self._believes = self._believes._replace(wavelength_nm=target_nm)
+        distance = abs(wavelength_nm - start_nm)
         duration = SLEW_START_S + distance / SLEW_NM_S if distance > 0 else 0.0
-        self._change(duration, self._now._replace(wavelength_nm=float(wavelength_nm)), dark=False)
+        self._change(duration, self._now._replace(wavelength_nm=wavelength_nm), dark=False)
 
     def select_grating(self, number: int) -> None:
         """Turn the turret to a grating."""
         if number not in self.gratings:
             raise ValueError(f"grating {number} is not fitted ({sorted(self.gratings)} are)")
+        stuck = self._stuck("grating", number != self._now.grating)
+        self._believes = self._believes._replace(
+            grating=number if stuck is not None and stuck.silent else None
+        )
         duration = GRATING_CHANGE_S if number != self._now.grating else 0.0
-        self._change(duration, self._now._replace(grating=number), dark=True)
+        if stuck is not None:  # the drive tries for as long, with the grating still in the beam
+            self._change(duration, self._now, dark=False)
+        else:
+            self._change(duration, self._now._replace(grating=number), dark=True)
 
     def select_filter(self, number: int) -> None:
         """Turn the filter wheel."""
         if number not in self.filters:
             raise ValueError(f"filter {number} is not fitted ({sorted(self.filters)} are)")
+        stuck = self._stuck("filter", number != self._now.filter)
+        self._believes = self._believes._replace(
+            filter=number if stuck is not None and stuck.silent else None
+        )
         duration = FILTER_STEP_S * abs(number - self._now.filter)
-        self._change(duration, self._now._replace(filter=number), dark=True)
+        if stuck is not None:
+            self._change(duration, self._now, dark=False)
+        else:
+            self._change(duration, self._now._replace(filter=number), dark=True)
 
     def set_output_port(self, number: int) -> None:
         """Send the light to another detector's port."""
@@ -129,6 +175,12 @@ class Monochromator:
 
     def set_shutter(self, is_open: bool) -> None:
         """Open or close the shutter."""
+        stuck = self._stuck("shutter", is_open != self._now.shutter_open)
+        self._believes = self._believes._replace(
+            shutter_open=is_open if stuck is not None and stuck.silent else None
+        )
+        if stuck is not None:
+            is_open = self._now.shutter_open
         duration = SHUTTER_S if is_open != self._now.shutter_open else 0.0
         self._change(duration, self._now._replace(shutter_open=is_open), dark=False)
 
@@ -149,6 +201,13 @@ class Monochromator:
         self._now = here._replace(blocked=False)
         self.busy_until_s = now_s
 
+    def power_cycle(self) -> None:
+        """Switch off and on: the shutter falls shut, everything goes to where it is at power-on."""
+        self.abort()
+        self._believes, self.error_code = Notice(), -1
+        self._now = self._now._replace(shutter_open=False)
+        self._change(POWER_ON_S, self._power_on, dark=True)
+
     def is_busy(self) -> bool:
         """Say whether something still moves."""
         return self.clock.now_s() < self.busy_until_s
@@ -161,23 +220,29 @@ class Monochromator:
 
     @property
     def wavelength_nm(self) -> float:
-        """The true centre wavelength now."""
+        """The centre wavelength now, as the controller knows it."""
+        believed = self._believes.wavelength_nm
+        if believed is not None and not self.is_busy():
+            return believed
         return self.state_at(self.clock.now_s()).wavelength_nm
 
     @property
     def grating(self) -> int:
         """The grating in the beam, or the one that is being left."""
-        return self.state_at(self.clock.now_s()).grating
+        believed = self._believes.grating
+        return self.state_at(self.clock.now_s()).grating if believed is None else believed
 
     @property
     def filter(self) -> int:
         """The filter in the beam, or the one that is being left."""
-        return self.state_at(self.clock.now_s()).filter
+        believed = self._believes.filter
+        return self.state_at(self.clock.now_s()).filter if believed is None else believed
 
     @property
     def shutter_open(self) -> bool:
-        """Whether light passes the shutter."""
-        return self.state_at(self.clock.now_s()).shutter_open
+        """Whether the shutter is open, as the controller knows it."""
+        believed = self._believes.shutter_open
+        return self.state_at(self.clock.now_s()).shutter_open if believed is None else believed
 
     @property
     def output_port(self) -> int:
@@ -210,6 +275,14 @@ class Monochromator:
         """Drop the history that nobody will ask for."""
         if self._changes and self._changes[0].end_s <= time_s:
             self._changes = [c for c in self._changes if c.end_s > time_s]
+
+    def _stuck(self, what: str, changes: bool) -> Stuck | None:
+        """Say whether a change that is asked for happens; note the error that the controller sees."""
+        if self.interfere is None:
+            return None
+        stuck = self.interfere(what) if changes else None
+        self.error_code = -1 if stuck is None or stuck.silent else stuck.error_code
+        return stuck
 
     def _change(self, duration_s: float, after: LightPath, *, dark: bool) -> None:
         if self.before_command is not None:
