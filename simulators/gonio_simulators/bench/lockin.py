@@ -98,6 +98,10 @@ class Lockin:
         self._order = 1
         self._stages = np.zeros((3, 1))  # of mean, X noise and Y noise; used with more than one low-pass
         self.recorder: Recorder | None = None
+        self._recording = False
+        self.before_look: Callable[[], None] | None = None
+        """Called before each look at the outputs: the moment at which a fault may strike."""
+        self._spike: tuple[bool, bool] | None = None
 
     @property
     def order(self) -> int:
@@ -130,15 +134,32 @@ class Lockin:
         The outputs are those of the instrument: limited to 1.09 of full scale (then the flag is up) and
         quantised to full scale / 32768.
         """
+        if self.before_look is not None and not self._recording:
+            self.before_look()
         self.advance()
         x, y = self.demodulated()
         limit = OVERLOAD * self.sensitivity_v
-        return LockinReading(
-            self._output(x),
-            self._output(y),
-            abs(self._signal.mean_v) > INPUT_LIMIT_V,
-            max(abs(x), abs(y)) > limit,
-        )
+        input_overload = abs(self._signal.mean_v) > INPUT_LIMIT_V
+        output_overload = max(abs(x), abs(y)) > limit
+        if self._spike is not None:
+            input_overload |= self._spike[0]
+            output_overload |= self._spike[1]
+            self._spike = None
+        return LockinReading(self._output(x), self._output(y), input_overload, output_overload)
+
+    def spike(self, size: float, *, at_input: bool) -> None:
+        """Let an interference pass: an overload that is seen once, and `size` full scales in the low-pass."""
+        self.advance()
+        self._mean_v += size * self.sensitivity_v
+        self._stages[0] += size * self.sensitivity_v
+        self._spike = (at_input, not at_input)
+
+    def power_cycle(self) -> None:
+        """Switch off and on: the low-pass begins at zero."""
+        self.advance()
+        self._mean_v = self._noise_x_v = self._noise_y_v = 0.0
+        self._stages[:] = 0.0
+        self._spike = None
 
     def demodulated(self) -> tuple[float, float]:
         """Return X and Y behind the low-pass in volts, before range and resolution, as last carried on."""
@@ -165,11 +186,16 @@ class Lockin:
 
     def advance(self) -> None:
         """Carry mean and noise on to the present, halting where a recorder wants to look."""
+        if self._recording:
+            return  # the recorder looks at an instant of the past
         now_s = self.clock.now_s()
-        if self.recorder is not None:
-            while self.recorder.next_s <= now_s:
-                self._carry_to(self.recorder.next_s)
+        while self.recorder is not None and self.recorder.next_s <= now_s:
+            self._carry_to(self.recorder.next_s)
+            self._recording = True
+            try:
                 self.recorder.take()
+            finally:
+                self._recording = False
         self._carry_to(now_s)
 
     def _carry_to(self, now_s: float) -> None:

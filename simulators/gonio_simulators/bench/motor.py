@@ -13,7 +13,7 @@ from __future__ import annotations
 import enum
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from gonio_simulators.bench.config import HOME_OVERSHOOT_DEG, ZONE_MARGIN_DEG
 from gonio_simulators.bench.motion import Piece, cut_after, cut_at, decelerate, pieces_to
