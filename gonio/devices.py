@@ -13,7 +13,7 @@ from __future__ import annotations
 import enum
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,7 @@ class Quality(enum.IntFlag):
     REFUSED = 4  # the position or wavelength was refused; the value is NaN
     NOT_MEASURED = 8  # not measured yet; the value is NaN
     RANGE_CHANGED = 16  # the amplifier range was changed for this reading
+    SKIPPED = 32  # a device failed here more often than the scan allows; the value is NaN
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,10 +45,42 @@ class SpectrumReading:
 
     wavelength_nm: FloatArray  # read back from the monochromator
     signal_v: FloatArray  # mean raw signal, volts, NaN where `quality` says there is none
-    signal_sd_v: FloatArray  # sample standard deviation of a single reading, volts; NaN when averages == 1
-    averages: int
+    signal_sd_v: FloatArray  # sample standard deviation of a single reading, volts; NaN where averages == 1
+    averages: int | NDArray[np.integer]  # readings in each mean: one number for all, or (n_wavelength,)
     time_s: FloatArray  # instrument clock at each reading
     quality: NDArray[np.uint16]  # Quality bits
+
+
+@runtime_checkable
+class Recoverable(Protocol):
+    """A stage, polarizer or spectrometer that can come back after a failure; a driver need not."""
+
+    def recover(self) -> str:
+        """Open a lost line anew, check that the same device answers, and bring it to a known state.
+
+        Motors stand still and have a reference that can be trusted, the shutter is closed.  Returns what had
+        to be done, for the scan's events; empty if nothing.  One attempt, which may raise `DeviceError`:
+        the caller repeats it.
+        """
+        ...
+
+
+@runtime_checkable
+class StillStage(Protocol):
+    """A stage that can be asked whether it stands where it stood; a driver need not have this."""
+
+    def verify_still(self, theta_i_deg: float, theta_mes_deg: float) -> tuple[float, float]:
+        """Return both positions read back; `MotionError` if an axis moved, moves, or lost its reference."""
+        ...
+
+
+@runtime_checkable
+class StillPolarizer(Protocol):
+    """A polarizer that can be asked whether it stands where it stood; a driver need not have this."""
+
+    def verify_still(self, expected_deg: float) -> float:
+        """Return the position read back; `MotionError` if it moved."""
+        ...
 
 
 class Status(Protocol):
@@ -194,10 +227,12 @@ class Spectrometer(Protocol):
         detector_index: NDArray[np.uint8],
         *,
         beam: Beam = "sample",
-        averages: int = 1,
+        averages: int | NDArray[np.integer] = 1,
         on_reading: Callable[[int], None] | None = None,
     ) -> SpectrumReading:
         """Measure at each wavelength with the given detector, in the given order.
+
+        `averages` readings are averaged, one number for all wavelengths or one for each.
 
         `on_reading(i)` is called after reading i, on the calling thread; an exception it raises ends the
         pass. The shutter is opened for ``sample`` and ``direct`` and closed for ``dark``.

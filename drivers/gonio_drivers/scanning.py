@@ -170,7 +170,7 @@ class ScanningSpectrometer:
             samples_v, time_s[i], flags = self._read(beam, int(detectors[i]), int(counts[i]), jump=jump)
             jump = False
             signal_v[i] = samples_v.mean()
-            if counts[i] > 1:
+            if len(samples_v) > 1:  # an overload ends the averaging early
                 sd_v[i] = samples_v.std(ddof=1)
             if self._retries() != retries:
                 flags |= Quality.RETRIED

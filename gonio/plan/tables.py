@@ -38,7 +38,7 @@ def a_list(what: str, example: str) -> Callable[[Any], Any]:
     """Make a validator that asks for a list in a TOML user's words, not in Python's."""
 
     def check_list(value: Any) -> Any:
-        if not isinstance(value, list | tuple):
+        if value is not None and not isinstance(value, list | tuple):
             raise ValueError(f"must be a list of {what}, such as {example}")
         return value
 

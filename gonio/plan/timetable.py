@@ -1,0 +1,217 @@
+"""What is done when: the references and positions of a plan in their order, and how long each takes on a rig.
+
+A step is a move of the axes, a turn of the polarizer where it is due, a pass over the wavelengths, and a record
+on the disk.  Its time has two parts: instrument seconds (motion, settling, averaging) and real seconds (wires and
+disk, from the rig's ``[latency]``).  They differ on a simulated bench whose clock runs fast.
+
+Not counted: homing, and the way to the first step, since nobody knows where the axes stand.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from gonio.devices import Beam, FloatArray, Polarization
+from gonio.plan.channels import Channels, channels
+from gonio.plan.model import Plan, Position
+from gonio.plan.motion import Angles, move_time
+from gonio.plan.tables import Kind
+from gonio.rig import RigConfig
+
+ReferencePolarization = Literal["any", "s", "p"]
+
+_TURN_EXCHANGES = 3  # where it stands, the turn, where it stands then
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedReference:
+    """A dark or baseline reading; `when` is ``start``, ``end`` or ``before K`` with the number of a position."""
+
+    kind: Kind
+    when: str
+    polarization: ReferencePolarization
+
+
+Task = PlannedReference | Position
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedStep:
+    """One step: what is measured, whether its pass runs from long to short wavelengths, and its time."""
+
+    task: Task
+    descending: bool
+    instrument_s: float
+    real_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Timetable:
+    """Every step of a scan in measuring order."""
+
+    steps: tuple[PlannedStep, ...]
+    clock_speed: float
+
+    @property
+    def duration_s(self) -> FloatArray:
+        """Duration of each step on the instrument's clock, (n_step,) seconds."""
+        return np.array([s.instrument_s + s.real_s * self.clock_speed for s in self.steps], dtype=np.float64)
+
+    @property
+    def instrument_s(self) -> float:
+        """What motion, settling and averaging take together, instrument seconds."""
+        return float(sum(step.instrument_s for step in self.steps))
+
+    @property
+    def real_s(self) -> float:
+        """What wires and disk take together, real seconds."""
+        return float(sum(step.real_s for step in self.steps))
+
+    @property
+    def total_s(self) -> float:
+        """Duration of the scan on the instrument's clock, seconds."""
+        return self.instrument_s + self.real_s * self.clock_speed
+
+    def count(self, kind: Kind) -> int:
+        """Return how many references of a kind there are."""
+        tasks = (step.task for step in self.steps)
+        return sum(isinstance(task, PlannedReference) and task.kind == kind for task in tasks)
+
+
+def reference_sequence(
+    plan: Plan, when: Literal["start", "end"]
+) -> list[tuple[Kind, ReferencePolarization]]:
+    """Return the reference readings due at `when` as (kind, polarization), in measuring order.
+
+    The dark signal has no polarization (the shutter is closed): it is taken once, for ``any``.
+    """
+    sequence: list[tuple[Kind, ReferencePolarization]] = []
+    if when in plan.references.dark:
+        sequence.append(("dark", "any"))
+    if when in plan.references.baseline:
+        sequence.extend(("baseline", polarization) for polarization in plan.polarization)
+    return sequence
+
+
+def timetable(plan: Plan, rig: RigConfig) -> Timetable:
+    """Return the steps of a plan on a rig that `check` accepts.
+
+    The same plan and rig give the same steps, so that an interrupted scan finds its place again.  References
+    that are due every so many minutes are placed by the time that this model says.
+    """
+    model = _Model(plan, rig)
+    steps: list[PlannedStep] = []
+    for kind, polarization in reference_sequence(plan, "start"):
+        steps.append(model.step(PlannedReference(kind, "start", polarization)))
+    steps.extend(_with_periodic(plan, model))
+    for kind, polarization in reference_sequence(plan, "end"):
+        steps.append(model.step(PlannedReference(kind, "end", polarization)))
+    return Timetable(tuple(steps), rig.clock_speed())
+
+
+def _with_periodic(plan: Plan, model: _Model) -> Iterator[PlannedStep]:
+    """Yield the positions with the references that are due between them."""
+    references = plan.references
+    kinds, every_s = references.periodic_kinds, 60.0 * (references.every_minutes or np.inf)
+    every = references.every_positions or np.inf
+    since_s, since = 0.0, 0
+    for position in plan.positions():
+        if since and (since >= every or since_s + model.sample_pass_s() > every_s) and kinds:
+            for task in _periodic(plan, kinds, position, model.polarization):
+                yield model.step(task)
+            since_s, since = 0.0, 0
+        step = model.step(position)
+        since_s += step.instrument_s + step.real_s * model.clock_speed
+        since += 1
+        yield step
+
+
+def _periodic(
+    plan: Plan, kinds: tuple[Kind, ...], before: Position, standing: Polarization | None
+) -> Iterator[PlannedReference]:
+    """Yield the references before a position, the polarizer turning as seldom as it can."""
+    when = f"before {before.index}"
+    if "dark" in kinds:
+        yield PlannedReference("dark", when, "any")
+    if "baseline" in kinds:
+        rest = [p for p in plan.polarization if p not in (standing, before.polarization)]
+        first = [p for p in plan.polarization if p == standing and p != before.polarization]
+        for polarization in [*first, *rest, before.polarization]:
+            yield PlannedReference("baseline", when, polarization)
+
+
+class _Model:
+    """The rig's state on paper, and what the next step costs from there."""
+
+    def __init__(self, plan: Plan, rig: RigConfig) -> None:
+        self.clock_speed = rig.clock_speed()
+        self.polarization: Polarization | None = None
+        self._plan, self._rig = plan, rig
+        self._channels: Channels = channels(plan, rig)
+        self._at: Angles | None = None
+        self._after: tuple[float, int] | None = None
+        self._seen: set[Beam] = set()
+        self._passes = 0
+        self._pass_time = functools.cache(self._pass_time_of)
+        self._move_time = functools.cache(self._move_time_of)
+
+    def sample_pass_s(self) -> float:
+        """Return the duration of the next pass over the sample, without the way to its position."""
+        instrument_s, real_s = self._pass_time(self._after, False, "sample", False)
+        return instrument_s + real_s * self.clock_speed
+
+    def step(self, task: Task) -> PlannedStep:
+        """Return a step and stand where it ends."""
+        beam: Beam
+        if isinstance(task, Position):
+            beam, angles = "sample", (task.theta_i_deg, task.theta_mes_deg)
+        else:
+            baseline = self._rig.baseline
+            beam = "dark" if task.kind == "dark" else "direct"
+            angles = (baseline.theta_i_deg, baseline.theta_mes_deg)
+        instrument_s, real_s = self._move_time(self._at or angles, angles)
+        if task.polarization != "any" and task.polarization != self.polarization:
+            # the first one too: where the rotator stands after homing is as good as elsewhere
+            instrument_s += self._rig.polarizer.turn_s
+            real_s += self._rig.latency.of({"polarizer": _TURN_EXCHANGES})
+            self.polarization = task.polarization
+        descending = self._plan.order.alternate_wavelengths and self._passes % 2 == 1
+        pass_s, pass_real_s = self._pass_time(self._after, descending, beam, beam not in self._seen)
+        last = 0 if descending else -1
+        self._at, self._seen, self._passes = angles, self._seen | {beam}, self._passes + 1
+        self._after = (
+            float(self._channels.wavelength_nm[last]), int(self._channels.detector_index[last])
+        )  # fmt: skip
+        return PlannedStep(
+            task, descending, instrument_s + pass_s, real_s + pass_real_s + self._rig.latency.record_s
+        )
+
+    def _move_time_of(self, start: Angles, end: Angles) -> tuple[float, float]:
+        found = move_time(self._rig, start, end)
+        return found.instrument_s, self._rig.latency.of(found.exchanges)
+
+    def _pass_time_of(
+        self, after: tuple[float, int] | None, descending: bool, beam: Beam, first: bool
+    ) -> tuple[float, float]:
+        way = slice(None, None, -1) if descending else slice(None)
+        columns = self._channels
+        if beam == "sample":
+            averages = columns.averages[way]
+        else:
+            kind: Kind = "dark" if beam == "dark" else "baseline"
+            averages = np.full(len(columns), self._plan.references.averages_of(kind), dtype=np.uint32)
+        found = self._rig.spectrometer.pass_time(
+            columns.wavelength_nm[way], columns.detector_index[way], averages,
+            beam=beam, after=after, first=first,
+        )  # fmt: skip
+        return found.instrument_s, self._rig.latency.of(found.exchanges)
+
+
+def estimate(plan: Plan, rig: RigConfig) -> float:
+    """Return the estimated duration of the scan on the instrument's clock, seconds; see `timetable`."""
+    return timetable(plan, rig).total_s
