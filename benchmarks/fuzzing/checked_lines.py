@@ -102,7 +102,7 @@ def _zaber_bodies(sent: bytes) -> list[bytes]:
     for line in sent.split(b"\n"):
         for start in (m.start() for m in re.finditer(b"@", line)):
             body, colon, tail = line[start + 1 :].rstrip(b"\r").rpartition(b":")
-            if colon and tail == b"%02X" % (-sum(body) & 0xFF):
+            if colon and tail.upper() == b"%02X" % (-sum(body) & 0xFF):
                 bodies.append(body)
     return bodies
 

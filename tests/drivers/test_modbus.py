@@ -117,11 +117,28 @@ def test_a_very_late_rtu_reply_is_found_out_by_the_canary(scripted):
         scripted,
         (read(10, 1), []),
         (CANARY[0], registers(1010)),  # later than the line was quiet: not the canary's length
-        CANARY,
+        (read(0, 6), registers(*[9] * 6)),
         (read(20, 1), registers(2020)),
     )
     with pytest.raises(ReplyError, match="not the 7 registers"):
         line.read(1, 10, 1)
+    assert line.read(1, 20, 1) == [2020]
+
+
+def test_the_late_reply_to_a_canary_does_not_prove_the_next(scripted):
+    """Between the two canaries' replies lies one that would be taken for the reading (found by fuzzing)."""
+    line = modbus(
+        scripted,
+        (read(10, 1), []),
+        (CANARY[0], []),
+        (read(0, 6), CANARY[1]),
+        (read(0, 5), [registers(1010), registers(*[9] * 5)]),
+        (read(0, 4), registers(*[9] * 4)),
+        (read(20, 1), registers(2020)),
+    )
+    for words in ("no complete reply", "not the 6 registers", "not the 5 registers"):
+        with pytest.raises(ReplyError, match=words):
+            line._read(1, 20, 1, 3) if words != "no complete reply" else line.read(1, 10, 1)
     assert line.read(1, 20, 1) == [2020]
 
 
