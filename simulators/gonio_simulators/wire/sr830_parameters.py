@@ -29,18 +29,19 @@ class Choice:
     high: int
 
 
+# Defaults are the standard settings of the manual, which *RST restores.
 CHOICES = {
-    "FMOD": Choice(0, 0, 1),  # 0: external reference, the chopper
-    "RSLP": Choice(1, 0, 2),
+    "FMOD": Choice(1, 0, 1),  # 0: external reference, the chopper
+    "RSLP": Choice(0, 0, 2),
     "HARM": Choice(1, 1, 19999),
     "ISRC": Choice(0, 0, 3),
     "IGND": Choice(0, 0, 1),
     "ICPL": Choice(0, 0, 1),
     "ILIN": Choice(0, 0, 3),
     "SENS": Choice(26, 0, 26),
-    "RMOD": Choice(1, 0, 2),
-    "OFLT": Choice(10, 0, 19),
-    "OFSL": Choice(0, 0, 3),  # the bench's low-pass is 6 dB/oct
+    "RMOD": Choice(2, 0, 2),
+    "OFLT": Choice(8, 0, 19),
+    "OFSL": Choice(1, 0, 3),
     "SYNC": Choice(0, 0, 1),
     "OUTX": Choice(0, 0, 1),  # 0: answers go to RS-232
     "LOCL": Choice(0, 0, 2),
@@ -50,6 +51,7 @@ CHOICES = {
     "SRAT": Choice(4, 0, 14),
     "SEND": Choice(1, 0, 1),
     "TSTR": Choice(0, 0, 1),
+    "FAST": Choice(0, 0, 2),  # a transfer of its own on GPIB only
     "*PSC": Choice(1, 0, 1),
 }
 
@@ -71,6 +73,11 @@ def numbers(texts: list[str]) -> list[float]:
     if not all(math.isfinite(v) for v in values):
         raise Illegal
     return values
+
+
+def wholes(texts: list[str]) -> list[int]:
+    """Return several whole numbers."""
+    return [whole(text) for text in texts]
 
 
 def number(parameters: list[str], low: float, high: float) -> float:

@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from gonio_simulators.wire.sr830_parameters import Illegal, OutOfRange, item_of, whole
 
 # bits of the LIA status register; the bench's low-pass itself never overloads (bit 1)
-INPUT_OVERLOAD, OUTPUT_OVERLOAD = 1 << 0, 1 << 2
+INPUT_OVERLOAD, OUTPUT_OVERLOAD, TRIGGERED = 1 << 0, 1 << 2, 1 << 6
 
 # bits of the standard event register
-EXECUTION_ERROR, ILLEGAL_COMMAND, POWER_ON = 1 << 4, 1 << 5, 1 << 7
+INPUT_OVERFLOW, EXECUTION_ERROR, ILLEGAL_COMMAND, POWER_ON = 1 << 0, 1 << 4, 1 << 5, 1 << 7
 
 # bits of the serial poll status byte
-_NO_SCAN, _IDLE = 1 << 0, 1 << 1
+NO_SCAN, IDLE = 1 << 0, 1 << 1
 
 
 class StatusRegisters:
-    """Bits stay set until they are read or ``*CLS`` clears them."""
+    """Bits stay set until they are read or ``*CLS`` clears them.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    condition
+        The bits of the status byte that tell of the present: `NO_SCAN`, `IDLE`.
+    """
+
+    def __init__(self, condition: Callable[[], int]) -> None:
+        self._condition = condition
         self.events = POWER_ON
         self.lia = 0
         self._enabled = {"*ESE": 0, "*SRE": 0, "ERRE": 0, "LIAE": 0}
@@ -44,11 +53,17 @@ class StatusRegisters:
         """Answer ``*STB?``."""
         if not is_query:
             raise Illegal
-        status = _NO_SCAN | _IDLE
+        status = self._condition()
         status |= bool(self.lia & self._enabled["LIAE"]) << 3
         status |= bool(self.events & self._enabled["*ESE"]) << 5
         status |= bool(status & self._enabled["*SRE"] & ~0x40) << 6
         return _register(status, parameters)[0]
+
+    def switch_on(self, *, clears_enables: bool) -> None:
+        """Be as after power comes on; ``*PSC 0`` keeps the enable registers."""
+        self.events, self.lia = POWER_ON, 0
+        if clears_enables:
+            self._enabled = dict.fromkeys(self._enabled, 0)
 
     def enable(self, name: str, is_query: bool, parameters: list[str]) -> str:
         """Set or read an enable register: the whole, or bit i of it."""

@@ -82,6 +82,20 @@ _CS260 = _words(
 _SR830 = _words(
     *(b"\r", b";", b",", b"?", b" ", b"SNAP", b"OUTP", b"SENS", b"OFLT", b"PHAS", b"APHS", b"AGAN", b"LIAE"),
     *(b"LIAS", b"*ESR", b"*STB", b"*RST", b"DDEF", b"AUXV", b"OEXP", b"FREQ", b"SLVL", b"1", b"2"),
+    *(
+        b"STRT",
+        b"SRAT",
+        b"SEND",
+        b"TRIG",
+        b"TSTR",
+        b"TRCA",
+        b"TRCB",
+        b"TRCL",
+        b"REST",
+        b"SSET",
+        b"RSET",
+        b"OFSL",
+    ),
 )
 _ELLIPTEC = _words(
     *(

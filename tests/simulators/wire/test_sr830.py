@@ -54,7 +54,7 @@ def test_tables_of_ranges() -> None:
         (b"PHAS -90.5", b"PHAS?", b"-90.50"),
         (b"PHAS 541", b"PHAS?", b"-179.00"),
         (b"HARM 3", b"HARM?", b"3"),
-        (b"FMOD 1;FREQ 1.00000e+03", b"FREQ?", b"1000"),
+        (b"FMOD 1;FREQ 1.00000e+03", b"FREQ?", b"1000.00"),
         (b"SLVL0.101", b"SLVL?", b"0.100"),
         (b"AUXV1,2.5", b"AUXV? 1", b"2.500"),
         (b"DDEF1,1,0", b"DDEF?1", b"1,0"),
@@ -89,7 +89,15 @@ def test_settings_are_read_back(talk, command: bytes, query: bytes, answer: byte
         (b"PHAS 800", 4),
         (b"AUXV 1,11", 4),
         (b"FREQ 100", 4),  # the reference is external
-        (b"AOFF 1", 4),
+        (b"FMOD 1;HARM 200;FREQ 2000", 4),  # beyond 102 kHz
+        (b"AOFF 4", 4),
+        (b"OEXP 1,106,0", 4),
+        (b"OEXP 1,50,3", 4),
+        (b"OUTR? 3", 4),
+        (b"RSET 7", 4),  # nothing stored there
+        (b"TRCA? 1,0,1", 4),  # nothing recorded
+        (b"STRT 1", 5),
+        (b"SPTS", 5),
     ],
 )
 def test_errors_say_nothing_and_set_an_event(talk, command: bytes, bit: int) -> None:
@@ -143,5 +151,5 @@ def test_reset_and_interface(bench: StillBench, talk) -> None:
     talk.feed(b"SENS 3;OFLT 1;PHAS 20;OUTX 1\r")
     assert talk.feed(b"SENS?\r") == b""  # answers go to the other interface
     assert talk.feed(b"OUTX?\r") == b"1\r"
-    assert talk.feed(b"OUTX 0;*RST;SENS?;OFLT?;PHAS?\r") == b"26\r10\r0.00\r"
-    assert (bench.lockin.sensitivity_v, bench.lockin.time_constant_s) == (1.0, 1.0)
+    assert talk.feed(b"OUTX 0;*RST;SENS?;OFLT?;OFSL?;PHAS?\r") == b"26\r8\r1\r0.00\r"
+    assert (bench.lockin.sensitivity_v, bench.lockin.time_constant_s, bench.lockin.order) == (1.0, 0.1, 2)
