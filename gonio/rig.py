@@ -8,6 +8,7 @@ answers every question that needs no hardware, `open_rig` connects.  The default
 from __future__ import annotations
 
 import importlib.metadata
+import weakref
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib import resources
@@ -21,7 +22,16 @@ from pydantic import Field, model_validator
 
 from gonio.clock import Clock
 from gonio.config import NotNegative, Number, Positive, Strict, parse_toml, read_toml, validate
-from gonio.devices import Beam, FloatArray, Polarizer, Spectrometer, Stage
+from gonio.devices import (
+    Beam,
+    FloatArray,
+    Polarizer,
+    Recoverable,
+    Spectrometer,
+    Stage,
+    StillPolarizer,
+    StillStage,
+)
 from gonio.errors import ConfigError, DeviceError, RefusedError
 from gonio.latency import LatencyConfig, PassTime
 
@@ -382,7 +392,7 @@ def with_addresses(config: RigConfig, addresses: Mapping[str, str]) -> RigConfig
 @dataclass
 class Rig:
     """Connected devices; use as a context manager, which stops the motors and closes the shutter on every
-    exit.
+    exit.  A rig that is forgotten, or alive when the program ends, does the same then.
     """
 
     config: RigConfig
@@ -391,24 +401,77 @@ class Rig:
     spectrometer: Spectrometer
     clock: Clock = field(default_factory=Clock)
 
-    def move_to(self, theta_i_deg: float, theta_mes_deg: float) -> tuple[float, float]:
-        """Move both axes and return their verified read-backs in degrees.
+    def __post_init__(self) -> None:
+        self._closer = weakref.finalize(self, _close_all, self.stage, self.polarizer, self.spectrometer)
 
-        `RefusedError` before a byte is sent if either target or path is not allowed; `MotionError` if a move
-        does not end where it should.
+    def move_to(self, theta_i_deg: float, theta_mes_deg: float) -> tuple[float, float]:
+        """Move both axes at once and return their verified read-backs in degrees.
+
+        `RefusedError` before a byte is sent if either target is not allowed, and before anything moves if a
+        path is not; `MotionError` if a move does not end where it should.
         """
+        self.begin_move(theta_i_deg, theta_mes_deg)
+        return self.finish_move()
+
+    def begin_move(self, theta_i_deg: float, theta_mes_deg: float) -> None:
+        """Begin the motion of both axes; `finish_move` completes it.  Raises as `move_to`."""
         self.config.check_position(theta_i_deg, theta_mes_deg)
-        self.stage.theta_i.start(theta_i_deg)
+        arm = self.config.stage.theta_mes
+        if arm.blind_zone_deg > 0 and arm.limits_deg[0] < 0 < arm.limits_deg[1]:
+            # The sample must not turn for an arm that then may not: it could have to pass the zone.
+            here_deg = self.stage.theta_mes.position_deg()
+            check_path("theta_mes", arm, here_deg, theta_mes_deg, rig_name=self.config.name)
         try:
+            self.stage.theta_i.start(theta_i_deg)
             self.stage.theta_mes.start(theta_mes_deg)
         except BaseException:
-            self.stage.theta_i.stop()
+            self.stage.stop()
             raise
+
+    def finish_move(self) -> tuple[float, float]:
+        """Wait for both axes and return their verified read-backs in degrees."""
         try:
             return self.stage.theta_i.wait(), self.stage.theta_mes.wait()
         except BaseException:
             self.stage.stop()
             raise
+
+    def verify_still(self, theta_i_deg: float, theta_mes_deg: float, polarizer_deg: float | None) -> None:
+        """Make sure that nothing has turned since these read-backs; None leaves the polarizer out.
+
+        A reading belongs to its angles only if they are still true at its end: a hand on a knob, or a drive
+        that restarted, is found out here.  Devices that cannot say are believed.
+
+        Raises
+        ------
+        MotionError
+            An axis or the polarizer stands elsewhere than it did.
+        """
+        if isinstance(self.stage, StillStage):
+            self.stage.verify_still(theta_i_deg, theta_mes_deg)
+        if polarizer_deg is not None and isinstance(self.polarizer, StillPolarizer):
+            self.polarizer.verify_still(polarizer_deg)
+
+    def recover(self) -> list[str]:
+        """Bring every device back to a known state after a failure; return what had to be done, for events.
+
+        One attempt, in the order in which nothing can be hurt: shutter, motors, polarizer.  A device whose
+        driver cannot recover is left as it is.
+
+        Raises
+        ------
+        DeviceError
+            A device does not answer (yet), is another one, or keeps its fault.
+        """
+        done = []
+        for name, device in (
+            ("spectrometer", self.spectrometer),
+            ("stage", self.stage),
+            ("polarizer", self.polarizer),
+        ):
+            if isinstance(device, Recoverable) and (what := device.recover()):
+                done.append(f"{name}: {what}")
+        return done
 
     def stop(self) -> None:
         """Stop all motion; callable from any thread, at any time, any number of times."""
@@ -418,23 +481,27 @@ class Rig:
 
     def close(self) -> None:
         """Stop the motors, close the shutter and release every line, whatever fails on the way."""
-        for action in (
-            self.stage.stop,
-            self.spectrometer.close_shutter,
-            self.stage.close,
-            self.polarizer.close,
-            self.spectrometer.close,
-        ):
-            try:
-                action()
-            except DeviceError:
-                continue  # a dead line must not keep the others open
+        self._closer()  # at most once
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def _close_all(stage: Stage, polarizer: Polarizer, spectrometer: Spectrometer) -> None:
+    for action in (
+        stage.stop,
+        spectrometer.close_shutter,
+        stage.close,
+        polarizer.close,
+        spectrometer.close,
+    ):
+        try:
+            action()
+        except DeviceError:
+            continue  # a dead line must not keep the others open
 
 
 def open_rig(config: RigConfig, *, wire_log: Path | None = None) -> Rig:
