@@ -16,6 +16,7 @@ from gonio.errors import GonioError, ScanStopped
 
 ELSEWHERE = {
     "simulate": "start the wire simulators of the bench and print their addresses",
+    "replay": "serve a wire log back as the devices it was recorded from, or print it",
     "gui": "open the acquisition window",
 }
 

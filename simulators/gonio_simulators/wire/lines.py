@@ -110,6 +110,7 @@ class _Pump:
         self._filter = filter_
         self._timer: asyncio.TimerHandle | None = None
         self._loop = asyncio.get_running_loop()
+        self._appoint()  # some devices speak first
 
     def received(self, data: bytes) -> None:
         if self._filter is None:
@@ -233,6 +234,10 @@ class TcpPort:
         """Stop listening and hang up."""
         if self._server is not None:
             self._server.close()
+        self.hang_up()
+
+    def hang_up(self) -> None:
+        """Break the connection to the present client, if there is one."""
         if self._client is not None:
             self._client.hang_up()
 
