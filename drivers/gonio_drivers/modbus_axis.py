@@ -19,7 +19,7 @@ from gonio_drivers.lines import connecting
 from gonio_drivers.modbus import LOOPBACK, Canary, Framing, ModbusLine, WordOrder, open_modbus
 from gonio_drivers.modbus_axis_drive import RegisterDrive, setting_value
 from gonio_drivers.modbus_axis_map import RegisterMap
-from gonio_drivers.modbus_axis_reads import choose_canary, plan_reads
+from gonio_drivers.modbus_axis_reads import Span, choose_canary, plan_reads
 from gonio_drivers.modbus_axis_values import limits
 from gonio_drivers.stage import MotorStage
 
@@ -79,8 +79,7 @@ class RegisterStageConfig(StageConfig):
                     )
                 found[unit] = Canary(given.function, given.address, given.count)
             else:
-                parts = [s for m in maps for s in (*m.status_spans(), m.position.span)]
-                found[unit] = choose_canary(blocks, parts, others)
+                found[unit] = _own_canary(maps, blocks, others)
                 if found[unit] is None and self.framing == "rtu":
                     lengths = sorted({span.count for span in (*blocks, *others) if span.function >= 3})
                     raise ValueError(
@@ -119,6 +118,16 @@ class RegisterStageConfig(StageConfig):
                     )
         self.canaries()
         return self
+
+
+def _own_canary(maps: list[RegisterMap], blocks: list[Span], others: list[Span]) -> Canary | None:
+    """Return a canary among the registers of the state, or else among all that the maps know."""
+    state = [span for m in maps for span in (*m.status_spans(), m.position.span)]
+    every = [*state, *(register.span for m in maps for register in (m.target, *m.settings().values()))]
+    reads = [*blocks, *others]
+    return choose_canary(blocks, state, reads) or choose_canary(
+        plan_reads(every, maps[0].position.span, bridge=0), every, reads
+    )
 
 
 def _check_range(name: str, axis: RegisterAxisConfig, registers: RegisterMap) -> None:

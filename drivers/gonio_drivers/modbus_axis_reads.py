@@ -61,20 +61,19 @@ def plan_reads(wanted: Iterable[Span], position: Span, *, bridge: int) -> tuple[
     return tuple(sorted(blocks, key=lambda block: block.contains(position)))
 
 
-def choose_canary(blocks: Iterable[Span], parts: Iterable[Span], others: Iterable[Span]) -> Canary | None:
-    """Return a read whose reply has a length that no other reply has, None if the map allows none.
+def choose_canary(runs: Iterable[Span], parts: Iterable[Span], reads: Iterable[Span]) -> Canary | None:
+    """Return a read whose reply has a length that none of the `reads` has, None if there is none.
 
-    It is the beginning of one of the `blocks`, so the drive has these registers, up to the end of one of the
-    `parts`, so that no number is cut in two: some drives refuse half a parameter.  `others` are the reads
-    made besides the blocks.
+    It is the beginning of one of the `runs`, which are registers that the drive has, up to the end of one of
+    the `parts`, so that no number is cut in two: some drives refuse half a parameter.
     """
-    blocks = tuple(blocks)
-    taken = {(span.function, span.count) for span in (*blocks, *others)}
+    parts = tuple(parts)
+    taken = {(read.function, read.count) for read in reads}
     candidates = [
-        Canary(block.function, block.address, count)
-        for block in blocks
-        if block.function in (3, 4)
-        for count in {part.end - block.address for part in parts if block.contains(part)}
-        if (block.function, count) not in taken
+        Canary(run.function, run.address, count)
+        for run in runs
+        if run.function in (3, 4)
+        for count in {part.end - run.address for part in parts if run.contains(part)}
+        if (run.function, count) not in taken
     ]
     return max(candidates, key=lambda canary: canary.count, default=None)
