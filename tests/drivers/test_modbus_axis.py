@@ -18,12 +18,14 @@ from pymodbus.framer import FramerType
 from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
+from gonio.clock import Clock
 from gonio.config import validate
 from gonio.errors import DeviceError, MotionError, RefusedError
-from gonio.rig import find_driver
+from gonio.rig import Context, StageConfig, find_driver
 from gonio_drivers.modbus_axis import RegisterStageConfig, open_stage
+from gonio_drivers.stage import MotorStage
 
-from .conftest import running_bench
+from .conftest import Bench, running_bench
 
 AXES = ("theta_i", "theta_mes")
 EXAMPLE = Path(__file__).parents[2] / "examples" / "rigs" / "arta-modbus-registers.toml"
@@ -45,59 +47,71 @@ def example_bench(request, tmp_path_factory):
         yield bench
 
 
+@contextlib.contextmanager
+def opened(bench: Bench, table: StageConfig | None = None) -> Iterator[MotorStage]:
+    """Open the stage alone, with the driver that its table names."""
+    table = table or bench.config.stage
+    driver = find_driver("stage", table.driver, source="test")
+    stage = driver.open(table, Context("test", Clock(bench.config.clock_speed())))
+    try:
+        yield stage
+    finally:
+        stage.close()
+
+
+def move(stage: MotorStage, theta_i_deg: float, theta_mes_deg: float) -> tuple[float, float]:
+    stage.theta_i.start(theta_i_deg)
+    stage.theta_mes.start(theta_mes_deg)
+    return stage.theta_i.wait(), stage.theta_mes.wait()
+
+
 def test_read_backs_are_those_of_the_dedicated_driver(example_bench):
     """Both drivers on the same two motors, one after the other: the angles of one are those of the other."""
-    config = example_bench.config
-    axes = {name: getattr(config.stage, name).model_dump(exclude={"registers"}) for name in AXES}
+    table = example_bench.config.stage
     dedicated = find_driver("stage", "applied-motion", source="test").config.model_validate(
         {
-            **axes,
             "driver": "applied-motion",
-            "address": config.stage.address,
-            "framing": config.stage.framing,
-            "word_order": config.stage.word_order,
             "home_on_connect": False,
+            **table.model_dump(include={"address", "framing", "word_order"}),
+            **{name: getattr(table, name).model_dump(exclude={"registers"}) for name in AXES},
         }
     )
-    targets = [(20.0, 15.0), (20.0, 18.0), (55.123, 141.0), (0.0, 15.3), (95.0, 180.0)]
-    for target in targets:
-        with example_bench.open() as rig:
-            got = rig.move_to(*target)
-            polled = rig.stage.theta_i.position_deg(), rig.stage.theta_mes.position_deg()
-        with example_bench.open(config.model_copy(update={"stage": dedicated})) as rig:
-            there = rig.stage.theta_i.position_deg(), rig.stage.theta_mes.position_deg()
-            assert rig.stage.verify_still(*got) == got
-        assert got == polled == there
+    for target in [(20.0, 15.0), (20.0, 18.0), (55.123, 141.0), (0.0, 15.3), (95.0, 180.0)]:
+        with opened(example_bench) as stage:
+            got = move(stage, *target)
+        with opened(example_bench, dedicated) as stage:
+            assert (stage.theta_i.position_deg(), stage.theta_mes.position_deg()) == got
+            assert stage.verify_still(*got) == got
         assert got == pytest.approx(target, abs=0.5 / 5000.0)
 
 
 def test_one_read_per_poll(example_bench):
-    with example_bench.open() as rig:
-        rig.move_to(20.0, 30.0)
-        statistics = rig.stage._line.line.statistics
+    with opened(example_bench) as stage:
+        move(stage, 20.0, 30.0)
+        statistics = stage._line.line.statistics
         before = statistics.replies
-        rig.stage.theta_i.position_deg()
+        stage.theta_i.position_deg()
         assert statistics.replies == before + 1
         with pytest.raises(RefusedError, match="blind zone"):
-            rig.move_to(20.0, 14.0)
+            stage.theta_mes.start(14.0)
         assert statistics.replies == before + 1
 
 
 def test_alarms_in_the_words_of_the_map(tmp_path):
     text = EXAMPLE.read_text(encoding="utf-8") + "\n[simulation.theta_mes]\nobstacle_deg = 60.0\n"
-    with running_bench(tmp_path, text) as bench, bench.open() as rig:
+    with running_bench(tmp_path, text) as bench, opened(bench) as stage:
         with pytest.raises(
             MotionError, match=r"unit 2.*position error: the motor stalled.*alarm 0x0001.*remove what blocks"
         ):
-            rig.move_to(20.0, 40.0)
-        assert "theta_mes homed" in rig.stage.recover()
-        assert rig.move_to(20.0, 100.0)[1] == pytest.approx(100.0, abs=0.01)
+            move(stage, 20.0, 40.0)
+        assert "theta_mes homed" in stage.recover()
+        assert move(stage, 20.0, 100.0)[1] == pytest.approx(100.0, abs=0.01)
 
 
 def test_stop_in_the_middle_of_a_move(tmp_path):
     text = EXAMPLE.read_text(encoding="utf-8").replace("clock_speed = 4000.0", "clock_speed = 20.0")
-    with running_bench(tmp_path, text) as bench, bench.open() as rig:
-        axis = rig.stage.theta_i
+    with running_bench(tmp_path, text) as bench, opened(bench) as stage:
+        axis = stage.theta_i
         axis.start(90.0)
         while axis.position_deg() < 10.0:
             time.sleep(0.001)
@@ -113,9 +127,9 @@ def test_a_wrong_word_order_is_not_an_arrival(tmp_path):
         wrong = bench.config.stage.model_copy(update={"word_order": "little"})
         with (
             pytest.raises(DeviceError, match=r"instead of|alarm|still moving"),
-            bench.open(bench.config.model_copy(update={"stage": wrong})) as rig,
+            opened(bench, wrong) as stage,
         ):
-            rig.move_to(20.0, 30.0)
+            move(stage, 20.0, 30.0)
 
 
 # -- drives of other makes -----------------------------------------------------------
