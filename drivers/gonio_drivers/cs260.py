@@ -1,26 +1,35 @@
 """The monochromator: Oriel Cornerstone 260 (grating, order-sorting filter, shutter, output port).
 
-Over RS-232 the instrument echoes each statement before it answers; the echo is what tells one reply from
-another. A statement that moves something is accepted at once and the next query is answered when the motion
-has ended, so a query after each statement is both the wait and the proof. Reference: Oriel Instruments,
-Cornerstone 260 user's manual, appendix on the command set.
+A statement that moves something is accepted at once, and on the original the next query is answered when
+the motion has ended: a query after each statement is both the wait and the proof.  The B model answers at
+once with what it passes, and some firmware is deaf while it moves.  So an answer that is not what was asked
+for is asked for again, until the motion must have ended.  Reference: Oriel Instruments, Cornerstone 260
+user's manual, appendix on the command set.
 """
 
 from __future__ import annotations
 
 import itertools
+import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Literal, Self
+from typing import Literal, Self, TypeVar
 
 from pydantic import Field, model_validator
 
 from gonio.config import Count, NotNegative, Positive, Strict
 from gonio.errors import DeviceError, RefusedError
 from gonio.rig import SIMULATED, Context
+from gonio_drivers.cs260_line import CS260Line
 from gonio_drivers.decimals import decimal
-from gonio_drivers.lines import Line, connecting, open_line
+from gonio_drivers.lines import Line, NoReply, connecting, open_line
+
+Value = TypeVar("Value")
 
 _REAL_REPLY_S = 2.0
+_REAL_ARRIVAL_S = 0.5
+_LOOK_S = 0.05  # instrument seconds between two looks at something that may still move
+_LOST_IN_A_ROW = 2  # drives without an answer, after which the instrument is taken to be deaf while it moves
+_REMEDY = "repeat; if it stays, look at the instrument's own display"
 _SLACK = 3.0  # a motion may take so many times as long as the configuration says
 
 _ERRORS: Mapping[int, tuple[str, str]] = {
@@ -104,10 +113,15 @@ class CS260:
     def __init__(self, config: CS260Config, context: Context, line: Line) -> None:
         self._config = config
         self._line = line
-        self._clock_speed = context.clock.speed
+        self._says = CS260Line(line)
+        self._clock = context.clock
         self._known: dict[str, str] = {}  # last verified answers, by query
         self._wavelength_nm: float | None = None
-        self._description = self.query("INFO?")
+        self._pipelined = config.pipelined
+        self._lost_in_a_row = 0  # drives whose answer did not come at the first attempt
+        self._is_deaf = False  # while it moves: it is asked when the motion must be over
+        self._description = self._says.greet()
+        self._answers_early = "260B" in self._description or "130B" in self._description
         self._set_slits()
 
     @property
@@ -134,6 +148,8 @@ class CS260:
         # The whole wheel for the deadline: where it stands is known only after the first query.
         wheel_s = self._config.filter_step_s * max(1, len(self._config.filters))
         changed = self._set("GRAT", str(grating), duration_s=self._config.grating_change_s)
+        if changed:
+            self._wavelength_nm = None  # the same angle is another wavelength now
         if filter_ is not None:
             changed |= self._set("FILTER", str(filter_), duration_s=wheel_s)
         return changed
@@ -163,14 +179,14 @@ class CS260:
             Something is not as it was set; the readings since the last look are not to be trusted.
         """
         for question, expected in list(self._known.items()):
-            got = _first(self.query(question))
+            got = _value(question, self.query(question))
             if got != expected:
                 self._known.clear()
                 self._wavelength_nm = None
                 raise DeviceError(
                     self._line.device,
-                    f"answers {question} with {got}, although {expected} was set: it was switched off and on, "
-                    "or set by somebody else",
+                    f"answers {question} with {got}, although {expected} was set: it was switched off and "
+                    "on, or set by somebody else",
                     "leave it alone while it measures, check its power supply, then repeat",
                 )
 
@@ -189,7 +205,7 @@ class CS260:
         done = "connection opened anew" if self._line.renew() else ""
         self._known.clear()
         self._wavelength_nm = None
-        description = self.query("INFO?")
+        description = self._says.greet()
         if description != self._description:
             raise DeviceError(
                 self._line.device,
@@ -209,11 +225,26 @@ class CS260:
             The instrument does not answer, or stands further than the tolerance from the wavelength.
         """
         far_nm = 2000.0 if self._wavelength_nm is None else abs(wavelength_nm - self._wavelength_nm)
-        timeout_s = self._timeout_s(0.1 + far_nm / self._config.drive_nm_s)
+        duration_s = 0.1 + far_nm / self._config.drive_nm_s
         self._wavelength_nm = None
-        got_nm = self._line.query(lambda: self._go(f"GOWAVE {wavelength_nm:.3f}", timeout_s))
-        if not abs(got_nm - wavelength_nm) <= self._config.tolerance_nm:
-            raise self._failed(f"stands at {got_nm:.3f} nm instead of {wavelength_nm:.3f} nm")
+        attempts = itertools.count()
+        statement = f"GOWAVE {wavelength_nm:.3f}"
+        got_nm = self._line.query(lambda: self._go(statement, duration_s, next(attempts)))
+        self._lost_in_a_row = self._lost_in_a_row + 1 if next(attempts) > 1 else 0
+        if self._lost_in_a_row >= _LOST_IN_A_ROW:
+            self._pipelined, self._is_deaf = False, True
+
+        def is_there(nm: float) -> bool:
+            return abs(nm - wavelength_nm) <= self._config.tolerance_nm
+
+        if self._answers_early or not is_there(got_nm):
+            got_nm = self._seen_to_arrive(
+                got_nm,
+                lambda: self._number(self.query("WAVE?")),
+                is_there,
+                duration_s,
+                lambda nm: f"stands at {nm:.3f} nm instead of {wavelength_nm:.3f} nm",
+            )
         self._wavelength_nm = got_nm
         return got_nm
 
@@ -225,14 +256,44 @@ class CS260:
 
     def query(self, question: str, *, timeout_s: float | None = None) -> str:
         """Ask and return the answer; repeated once if the reply fails."""
-        return self._line.query(lambda: self._exchange(question, timeout_s=timeout_s))
+        return self._says.query(question, timeout_s=timeout_s)
 
-    def _go(self, statement: str, timeout_s: float) -> float:
+    def _go(self, statement: str, duration_s: float, attempt: int) -> float:
         """Both statements are harmless to repeat, so a failed reply to either repeats both."""
-        if self._config.pipelined:
-            return self._number(self._exchange(statement, "WAVE?", timeout_s=timeout_s))
-        self._exchange(statement)
-        return self._number(self._exchange("WAVE?", timeout_s=timeout_s))
+        timeout_s = self._timeout_s(duration_s)
+        if self._pipelined and not attempt:
+            return self._number(self._says.exchange(statement, "WAVE?", timeout_s=timeout_s))
+        self._says.exchange(statement)
+        if self._is_deaf:
+            self._clock.sleep(duration_s)
+        return self._number(self._says.exchange("WAVE?", timeout_s=timeout_s))
+
+    def _seen_to_arrive(
+        self,
+        got: Value,
+        ask: Callable[[], Value],
+        is_there: Callable[[Value], bool],
+        duration_s: float,
+        words: Callable[[Value], str],
+    ) -> Value:
+        """Return the answer that is as it should be, twice in a row; asked for while the motion may last.
+
+        Raises
+        ------
+        DeviceError
+            The instrument reports an error, or the motion must have ended long ago.
+        """
+        if not is_there(got):
+            self._refuse_if_it_reports(words(got))
+            self._answers_early = True
+        end_s = time.monotonic() + _REAL_ARRIVAL_S + _SLACK * duration_s / self._clock.speed
+        while True:
+            self._clock.sleep(_LOOK_S)
+            before, got = got, ask()
+            if is_there(got) and got == before:
+                return got
+            if time.monotonic() > end_s:
+                raise self._failed(words(got))
 
     def _set_slits(self) -> None:
         if self._config.slit_um is not None:
@@ -245,55 +306,40 @@ class CS260:
         timeout_s = self._timeout_s(duration_s)
         before = self._known.get(question)
         if before is None and not always:
-            before = self._known[question] = _first(self.query(question, timeout_s=timeout_s))
+            before = self._known[question] = self._asked_first(question, timeout_s)
         if before == value:
             return False
         self._known.pop(question, None)
-        got = self._line.query(lambda: self._set_and_ask(f"{what} {value}", question, timeout_s))
+        got = self._line.query(lambda: self._set_and_ask(f"{what} {value}", question, duration_s))
         if got != value:
-            raise self._failed(f"was told {what} {value} and reads {got}")
+            got = self._seen_to_arrive(
+                got,
+                lambda: _value(question, self.query(question, timeout_s=timeout_s)),
+                value.__eq__,
+                duration_s,
+                lambda answer: f"was told {what} {value} and reads {answer}",
+            )
+        elif self._answers_early:
+            self._clock.sleep(duration_s)  # it says where it will be
         self._known[question] = got
         return True
 
-    def _set_and_ask(self, statement: str, question: str, timeout_s: float) -> str:
-        self._exchange(statement)
-        return _first(self._exchange(question, timeout_s=timeout_s))
+    def _asked_first(self, question: str, timeout_s: float) -> str:
+        try:
+            return _value(question, self.query(question, timeout_s=timeout_s))
+        except NoReply:
+            self._refuse_if_it_reports(f"gave no answer to {question}")
+            raise
+
+    def _set_and_ask(self, statement: str, question: str, duration_s: float) -> str:
+        self._says.exchange(statement)
+        if self._is_deaf:
+            self._clock.sleep(duration_s)
+        return _value(question, self._says.exchange(question, timeout_s=self._timeout_s(duration_s)))
 
     def _timeout_s(self, duration_s: float) -> float:
         """Real seconds for a reply that waits for a motion of `duration_s` instrument seconds."""
-        return _REAL_REPLY_S + _SLACK * duration_s / self._clock_speed
-
-    def _exchange(self, *statements: str, timeout_s: float | None = None) -> str:
-        """Send statements, take their echoes, and return the answer if the last is a question."""
-        with self._line.transaction(self._prove):
-            return self._ask(*statements, timeout_s=timeout_s)
-
-    def _ask(self, *statements: str, timeout_s: float | None = None) -> str:
-        line = self._line
-        sent = [statement.encode("ascii") for statement in statements]
-        line.send(b"".join(expected + b"\r\n" for expected in sent))
-        deadline_s = line.deadline_s(timeout_s)
-        for expected in sent:
-            self._skip_until(expected.__eq__, deadline_s)
-        answer = b""
-        if sent[-1].endswith(b"?"):
-            answer = self._skip_until(lambda text: text not in (b"", sent[-1]), deadline_s)
-        line.answered()
-        return answer.decode("ascii", "replace")
-
-    def _skip_until(self, wanted: Callable[[bytes], bool], deadline_s: float) -> bytes:
-        while True:
-            text = self._line.read_until(b"\n", deadline_s).strip()
-            if wanted(text):
-                return text
-            if text:
-                self._line.stale(text)
-
-    def _prove(self) -> None:
-        """The echo of a question and the form of its answer, two digits, show that both ends agree."""
-        answer = self._ask("STB?")
-        if len(answer) != 2:
-            raise self._line.damaged(answer.encode("ascii", "replace"), "not a status byte")
+        return _REAL_REPLY_S + _SLACK * duration_s / self._clock.speed
 
     def _number(self, answer: str) -> float:
         try:
@@ -301,19 +347,27 @@ class CS260:
         except ValueError:
             raise self._line.damaged(answer.encode("ascii", "replace"), "not a number") from None
 
-    def _failed(self, what: str) -> DeviceError:
-        """Return an error with the reason that the instrument itself gives, if it gives one."""
-        reason, remedy = "", "repeat; if it stays, look at the instrument's own display"
+    def _refuse_if_it_reports(self, what: str) -> None:
+        """Raise an error with the reason that the instrument itself gives, if it gives one."""
         code = self.query("ERROR?")
         if code.isdigit() and len(code) <= 3 and int(code):
-            words, remedy = _ERRORS.get(int(code), ("has an unknown error", remedy))
-            reason = f": it {words} (error {int(code)})"
-        return DeviceError(self._line.device, what + reason, remedy)
+            words, remedy = _ERRORS.get(int(code), ("has an unknown error", _REMEDY))
+            raise DeviceError(self._line.device, f"{what}: it {words} (error {int(code)})", remedy)
+
+    def _failed(self, what: str) -> DeviceError:
+        self._refuse_if_it_reports(what)
+        return DeviceError(self._line.device, what, _REMEDY)
 
 
-def _first(answer: str) -> str:
-    """Return the first field: ``GRAT?`` answers ``1,1200,LABEL``."""
-    return answer.split(",")[0].strip()
+def _value(question: str, answer: str) -> str:
+    """Return the first field (``GRAT?`` answers ``1,1200,LABEL``), in the form in which it is set."""
+    field = answer.split(",")[0].strip().upper()
+    if question == "SHUTTER?":
+        return {"1": "O", "0": "C"}.get(field, field[:1])
+    try:
+        return f"{decimal(field):g}"
+    except ValueError:
+        return field
 
 
 def open_cs260(config: CS260Config, context: Context) -> CS260:
