@@ -99,9 +99,9 @@ class ZaberReplies(DriverTarget):
 
 def _zaber_bodies(sent: bytes) -> list[bytes]:
     bodies = []
-    for line in sent.split(b"\n"):
+    for line in re.split(rb"[\r\n]", sent):
         for start in (m.start() for m in re.finditer(b"@", line)):
-            body, colon, tail = line[start + 1 :].rstrip(b"\r").rpartition(b":")
+            body, colon, tail = line[start + 1 :].rpartition(b":")
             if colon and tail.upper() == b"%02X" % (-sum(body) & 0xFF):
                 bodies.append(body)
     return bodies

@@ -53,7 +53,9 @@ class DriverTarget:
             return Verdict.EARLIER
         if not self.has_checksum:
             return Verdict.ABSURD if self.is_absurd(value) else Verdict.UNPROTECTED
-        return Verdict.VALID_OTHER if self.is_said(value, self.port.delivered) else Verdict.CORRUPT
+        if self.is_said(value, self.port.delivered):
+            return Verdict.VALID_OTHER
+        return Verdict.UNASKED if self.is_said(value, self.port.copies) else Verdict.CORRUPT
 
     def connect(self, line: Line) -> None:
         raise NotImplementedError

@@ -15,6 +15,7 @@ class Verdict(enum.Enum):
     RIGHT = "right"  # the true answer
     EARLIER = "earlier"  # a true answer to the same question, asked before in the same call
     VALID_OTHER = "valid other"  # another answer, in a frame whose checksum is right: nobody could tell
+    UNASKED = "unasked"  # a whole old reply that came once more, unasked: RTU has no number to tell it by
     UNPROTECTED = "unprotected"  # another answer, and the protocol has no checksum
     CORRUPT = "corrupt"  # another answer although the checksum was wrong: a defect
     ABSURD = "absurd"  # not a number, or one that the instrument cannot have shown: a defect

@@ -42,6 +42,7 @@ class BadLine:
         self._rng = Random(0)
         self._damaged_writes = 0
         self._history: deque[bytes] = deque(maxlen=8)
+        self._copies: deque[bytes] = deque(maxlen=20)
         self.delivered = b""  # sent in reply to the requests of the present call
         self.changed = False
         self.forged = False
@@ -60,6 +61,11 @@ class BadLine:
         """The last true replies."""
         return self._history
 
+    @property
+    def copies(self) -> bytes:
+        """Whole replies of earlier requests that were sent once more, after they had been answered."""
+        return b"".join(self._copies)
+
     def write(self, data: bytes) -> None:
         """Take a request and let the reply come."""
         reply = self._device(data)
@@ -76,6 +82,7 @@ class BadLine:
                 changed = mutate(rng, reply, self._history)
             sent = pieces(rng, changed)
             self.changed |= changed != reply
+            self._copies.extend(old for old in self._history if old in changed)
         if reply:
             self._history.append(reply)
         due_s = self._time.now_s

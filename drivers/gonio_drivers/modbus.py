@@ -52,7 +52,7 @@ class Canary:
 
 LOOPBACK = Canary(8, 0, 0)
 
-_CANARY = Canary(spare=(6, 5, 4))
+_CANARY = Canary(spare=(6, 5, 4, 9, 10, 11, 12))
 
 _EXCEPTIONS = {
     1: ("does not know this function", "check the model and firmware of the drive"),
