@@ -14,7 +14,7 @@ from gonio.config import Count, Number, Positive
 from gonio.errors import DeviceError, ReplyError
 from gonio.rig import Context, Driver, StageConfig
 from gonio_drivers.axis import MotorAxis
-from gonio_drivers.decimals import decimal
+from gonio_drivers.decimals import fixed
 from gonio_drivers.drive import DriveState, MotorConfig
 from gonio_drivers.lines import connecting, open_line
 from gonio_drivers.stage import MotorStage
@@ -212,7 +212,7 @@ class ZaberDrive:
 def _number(data: str) -> float | None:
     """Return a reply's first number (a whole one, or with decimals), None if it is none."""
     try:
-        return decimal(data.split()[0])
+        return fixed(data.split()[0])
     except (ValueError, IndexError):
         return None
 
