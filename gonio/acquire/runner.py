@@ -24,6 +24,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 import gonio
 from gonio.acquire.session import OnRecord, Session, facts_of, refuse_existing
@@ -32,8 +33,10 @@ from gonio.acquire.steps import Pace, PositionStep, ReferenceStep, Step, steps_o
 from gonio.aperture import Aperture
 from gonio.devices import Beam, Polarization, SpectrumReading
 from gonio.errors import DeviceError, GonioError, RefusedError, ScanStopped, StoreError
+from gonio.plan.channels import Channels, channels
 from gonio.plan.check import check
 from gonio.plan.model import Plan
+from gonio.plan.optimise import resolved
 from gonio.rig import Rig
 from gonio.store.records import (
     EventRecord,
@@ -82,8 +85,9 @@ class Runner:
         continues: bool = False,
     ) -> None:
         self.path = Path(path)
-        self.plan = plan
-        self._wavelength_nm = plan.wavelength_nm
+        self.plan = resolved(plan, rig.config)
+        self._wavelength_nm = plan.wavelength_nm  # the rig's columns once they are known to be covered
+        self._channels: Channels | None = None
         self._n_positions = plan.n_positions
         self._rig = rig
         self._on_snapshot = on_snapshot
@@ -155,9 +159,13 @@ class Runner:
             theta_i_deg=angles[0],
             theta_mes_deg=angles[1],
             polarization=polarization if polarization in ("s", "p") else None,
-            wavelength_nm=float(self._wavelength_nm[min(self._reading, m - 1)]) if step else None,
+            wavelength_nm=self._wavelength_of(step, self._reading) if step else None,
             message=self._message,
         )
+
+    def _wavelength_of(self, step: Step, reading: int) -> float:
+        at = min(reading, len(self._wavelength_nm) - 1)
+        return float(self._wavelength_nm[-1 - at if step.descending else at])
 
     # -- the run
     # -----------------------------------------------------------------------------------------------
@@ -217,6 +225,8 @@ class Runner:
         Aperture(config.aperture.width_mm, config.aperture.height_mm, config.aperture.distance_mm)
         if not self._continues:
             refuse_existing(self.path)
+        self._channels = channels(self.plan, config)
+        self._wavelength_nm = self._channels.wavelength_nm
         self._steps = steps_of(self.plan, config)
         needed = len(self._steps) * len(self._wavelength_nm) * _BYTES_PER_READING + 1_000_000
         free = shutil.disk_usage(self.path.absolute().parent).free
@@ -245,11 +255,12 @@ class Runner:
                 plan_text=self.plan.to_toml(),
                 rig_text=self._rig.config.text,
                 rig=facts,
-                detector_index=self._rig.config.detector_for(self._wavelength_nm),
+                detector_index=self._columns.detector_index,
                 devices=devices,
                 program=f"gonio {gonio.__version__}",
                 start_time=_now_iso(),
                 unix_s=time.time(),
+                wavelength_nm=self._columns.wavelength_nm,
             )
             self._offset_s = -clock.now_s()
             self._session = Session.begin(self.path, header, self.plan, self._on_record)
@@ -296,7 +307,7 @@ class Runner:
         position = step.position
         self._select(position.polarization)
         theta_i, theta_mes = self._move(position.theta_i_deg, position.theta_mes_deg)
-        reading = self._read("sample", self.plan.reading.averages)
+        reading = self._read("sample", self._columns.averages_asked, descending=step.descending)
         return PositionRecord(
             index=position.index,
             polarization=position.polarization,
@@ -319,7 +330,9 @@ class Runner:
         # a dark is taken there too: whatever light leaks past the shutter is then the same for both
         theta_i, theta_mes = self._move(baseline.theta_i_deg, baseline.theta_mes_deg)
         reading = self._read(
-            "dark" if step.kind == "dark" else "direct", self.plan.references.averages_of(step.kind)
+            "dark" if step.kind == "dark" else "direct",
+            self.plan.references.averages_of(step.kind),
+            descending=step.descending,
         )
         return ReferenceRecord(
             kind=step.kind,
@@ -352,14 +365,18 @@ class Runner:
         self._angles_deg = angles
         return angles
 
-    def _read(self, beam: Beam, averages: int) -> SpectrumReading:
+    def _read(
+        self, beam: Beam, averages: int | NDArray[np.integer], *, descending: bool
+    ) -> SpectrumReading:
         self._raise_if_stopped()
+        way = slice(None, None, -1) if descending else slice(None)
+        columns = self._columns
         spectrometer = self._rig.spectrometer
         reading = spectrometer.measure_spectrum(
-            self._wavelength_nm,
-            self._rig.config.detector_for(self._wavelength_nm),
+            columns.wavelength_nm[way],
+            columns.detector_index[way],
             beam=beam,
-            averages=averages,
+            averages=averages if isinstance(averages, int) else averages[way],
             on_reading=self._on_reading,
         )
         self._raise_if_stopped()  # a driver may have ended its pass early because of the stop
@@ -372,7 +389,22 @@ class Runner:
                     f"returned {name} of shape {shape} for {m} wavelengths",
                     "this is a defect of its driver; report it",
                 )
-        return reading
+        if not descending:
+            return reading
+        return SpectrumReading(
+            wavelength_nm=reading.wavelength_nm[way],
+            signal_v=reading.signal_v[way],
+            signal_sd_v=reading.signal_sd_v[way],
+            averages=reading.averages if isinstance(reading.averages, int) else reading.averages[way],
+            time_s=reading.time_s[way],
+            quality=reading.quality[way],
+        )
+
+    @property
+    def _columns(self) -> Channels:
+        if self._channels is None:
+            raise RuntimeError("the plan has not been checked yet")
+        return self._channels
 
     def _on_reading(self, index: int) -> None:
         self._raise_if_stopped()

@@ -4,22 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
-from gonio.plan.check import durations, reference_sequence
 from gonio.plan.model import Plan, Position
+from gonio.plan.timetable import PlannedReference, ReferencePolarization, timetable
 from gonio.rig import RigConfig
 from gonio.store.records import ReferenceKind
 
 
 @dataclass(frozen=True, slots=True)
 class ReferenceStep:
-    """One pass over the wavelengths in the baseline position; a dark's polarization is ``any``."""
+    """One pass over the wavelengths in the baseline position; a dark's polarization is ``any``.
+
+    `when` is ``start``, ``end`` or ``before K`` with the number of a position; a pass that is `descending` begins
+    at the longest wavelength.
+    """
 
     kind: ReferenceKind
-    when: Literal["start", "end"]
-    polarization: Literal["any", "s", "p"]
+    when: str
+    polarization: ReferencePolarization
     duration_s: float
+    descending: bool = False
 
     @property
     def key(self) -> tuple[str, str, str]:
@@ -33,6 +37,7 @@ class PositionStep:
 
     position: Position
     duration_s: float
+    descending: bool = False
 
     @property
     def key(self) -> int:
@@ -44,21 +49,13 @@ Step = ReferenceStep | PositionStep
 
 
 def steps_of(plan: Plan, rig: RigConfig) -> list[Step]:
-    """Return every step of the plan in measuring order: starting references, positions, ending references."""
-    times = durations(plan, rig)
-
-    def references(when: Literal["start", "end"], durations_s: Sequence[float]) -> list[Step]:
-        return [
-            ReferenceStep(kind, when, polarization, duration_s)
-            for (kind, polarization), duration_s in zip(
-                reference_sequence(plan, when), durations_s, strict=True
-            )
-        ]
-
+    """Return every step of the plan in measuring order; see `gonio.plan.timetable`."""
+    table = timetable(plan, rig)
     return [
-        *references("start", times.start_references_s.tolist()),
-        *(PositionStep(*pair) for pair in zip(plan.positions(), times.position_s.tolist(), strict=True)),
-        *references("end", times.end_references_s.tolist()),
+        ReferenceStep(step.task.kind, step.task.when, step.task.polarization, duration_s, step.descending)
+        if isinstance(step.task, PlannedReference)
+        else PositionStep(step.task, duration_s, step.descending)
+        for step, duration_s in zip(table.steps, table.duration_s.tolist(), strict=True)
     ]
 
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import Literal
+from pathlib import Path
 
 import numpy as np
 
 from gonio.devices import FloatArray
 from gonio.errors import RefusedError
-from gonio.plan.model import Plan, Position, When
-from gonio.rig import AxisConfig, RigConfig, check_path
+from gonio.plan.model import Plan, Position
+from gonio.plan.motion import Angles
+from gonio.plan.timetable import PlannedReference, Timetable, timetable
+from gonio.rig import RigConfig, check_path
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,32 +38,44 @@ class Refusal:
 def check(plan: Plan, rig: RigConfig) -> list[Refusal]:
     """Return every refused wavelength, position and path of the plan, empty if the rig can measure it.
 
-    Paths are those between consecutive positions, from the baseline position to the first and back from the
-    last.  The way to the first baseline reading starts where the axes happen to stand; the driver checks it.
+    Paths are those between consecutive steps, references in the [baseline] position included.  The way to the
+    first step starts where the axes happen to stand; the driver checks it.
     """
     refusals = list(_refused_wavelengths(plan, rig))
-    baseline_deg = (rig.baseline.theta_i_deg, rig.baseline.theta_mes_deg)
-    baseline_reason = _refused_angles(rig, *baseline_deg)
-    if baseline_reason:
-        refusals.append(Refusal(f"the [baseline] position of the rig file: {baseline_reason}"))
-    known: dict[tuple[float, float], str] = {}
-    previous = None if baseline_reason else baseline_deg
-    for position in plan.positions():
-        angles = (position.theta_i_deg, position.theta_mes_deg)
+    baseline: Angles = (rig.baseline.theta_i_deg, rig.baseline.theta_mes_deg)
+    known = {baseline: _refused_angles(rig, *baseline)}
+    if known[baseline]:
+        refusals.append(Refusal(f"the [baseline] position of the rig file: {known[baseline]}"))
+    previous: Angles | None = None
+    previous_is_baseline = False
+    for position in _stops(plan, rig, detected=not refusals):
+        angles = baseline if position is None else (position.theta_i_deg, position.theta_mes_deg)
         if angles not in known:
             known[angles] = _refused_angles(rig, *angles)
         if known[angles]:
-            refusals.append(Refusal(known[angles], position))
+            if position is not None:
+                refusals.append(Refusal(known[angles], position))
             continue  # it is not visited, so the next path starts from the one before
         reason = _refused_path(rig, previous, angles) if previous and previous != angles else ""
-        if reason:
-            refusals.append(Refusal(reason, position))
-        previous = angles
-    if previous and not baseline_reason:
-        reason = _refused_path(rig, previous, baseline_deg)
-        if reason:
+        if reason and position is None:
             refusals.append(Refusal(f"the way back to the [baseline] position: {reason}"))
+        elif reason:
+            start = "from the [baseline] position, " if previous_is_baseline else ""
+            refusals.append(Refusal(start + reason, position))
+        previous, previous_is_baseline = angles, position is None
     return refusals
+
+
+def _stops(plan: Plan, rig: RigConfig, *, detected: bool) -> Iterator[Position | None]:
+    """Yield where the axes stop, None for the baseline position."""
+    if detected and plan.references.periodic_kinds:
+        for step in timetable(plan, rig).steps:
+            yield None if isinstance(step.task, PlannedReference) else step.task
+        return
+    # without a detector for every wavelength no pass has a duration, and so no period an end
+    yield None
+    yield from plan.positions()
+    yield None
 
 
 def _refused_wavelengths(plan: Plan, rig: RigConfig) -> Iterator[Refusal]:
@@ -85,7 +99,7 @@ def _refused_angles(rig: RigConfig, theta_i_deg: float, theta_mes_deg: float) ->
     return "; ".join(reasons)
 
 
-def _refused_path(rig: RigConfig, start: tuple[float, float], end: tuple[float, float]) -> str:
+def _refused_path(rig: RigConfig, start: Angles, end: Angles) -> str:
     reasons: list[str] = []
     axes = (("theta_i", rig.stage.theta_i), ("theta_mes", rig.stage.theta_mes))
     for (axis, config), from_deg, to_deg in zip(axes, start, end, strict=True):
@@ -96,98 +110,23 @@ def _refused_path(rig: RigConfig, start: tuple[float, float], end: tuple[float, 
     return "; ".join(reasons)
 
 
-# -- time ---------------------------------------------------------------------------------------------------
+# -- room ---------------------------------------------------------------------------------------------------
+
+BYTES_PER_READING = 300
+"""Journal and `.h5` together, and a rebuilt `.h5` beside the old one."""
 
 
-@dataclass(frozen=True, slots=True)
-class Durations:
-    """Estimated instrument seconds of a plan's parts."""
-
-    position_s: FloatArray  # (n_position,) motion from the one before, then the pass over the wavelengths
-    start_references_s: FloatArray  # one entry per reference reading, the first with the motion
-    end_references_s: FloatArray
-
-    @property
-    def total_s(self) -> float:
-        """Sum of all parts."""
-        return float(self.position_s.sum() + self.start_references_s.sum() + self.end_references_s.sum())
+def bytes_needed(table: Timetable, n_columns: int) -> int:
+    """Return the room that a scan may take on the disk while it runs, bytes."""
+    return len(table.steps) * n_columns * BYTES_PER_READING + 1_000_000
 
 
-def reference_sequence(
-    plan: Plan, when: When
-) -> list[tuple[Literal["dark", "baseline"], Literal["any", "s", "p"]]]:
-    """Return the reference readings due at `when` as (kind, polarization), in measuring order.
-
-    The dark signal has no polarization (the shutter is closed): it is taken once, for ``any``.
-    """
-    sequence: list[tuple[Literal["dark", "baseline"], Literal["any", "s", "p"]]] = []
-    if when in plan.references.dark:
-        sequence.append(("dark", "any"))
-    if when in plan.references.baseline:
-        sequence.extend(("baseline", polarization) for polarization in plan.polarization)
-    return sequence
-
-
-def durations(plan: Plan, rig: RigConfig) -> Durations:
-    """Return the estimated instrument time of every part of a plan that `check` accepts.
-
-    Motion is the slower of the two axes, which move at once, with the overshoot that takes out the
-    backlash; a pass over the wavelengths is what the spectrometer's driver says.  Not counted: homing,
-    the turning of the polarizer (twice per sweep), and the first move to the baseline position, since
-    nobody knows where the axes stand.
-    """
-    wavelength_nm = plan.wavelength_nm
-    pass_s = rig.spectrometer.reading_duration_s(wavelength_nm, plan.reading.averages)
-    positions = plan.positions()
-    theta_i = np.array([p.theta_i_deg for p in positions])
-    theta_mes = np.array([p.theta_mes_deg for p in positions])
-    start_references = reference_sequence(plan, "start")
-    end_references = reference_sequence(plan, "end")
-    baseline = (rig.baseline.theta_i_deg, rig.baseline.theta_mes_deg)
-    before = baseline if start_references else (float(theta_i[0]), float(theta_mes[0]))
-    position_s = pass_s + _motion_s(
-        rig, np.concatenate([[before[0]], theta_i]), np.concatenate([[before[1]], theta_mes])
+def refused_room(needed: int, folder: Path) -> str:
+    """Return why the folder has no room for so many bytes, empty if it has."""
+    free = shutil.disk_usage(folder.absolute()).free
+    if free >= needed:
+        return ""
+    return (
+        f"the scan takes up to {needed / 1e6:.0f} MB and the disk of {folder.absolute()} has "
+        f"{free / 1e6:.0f} MB left; free some space or choose another disk"
     )
-    start_s, end_s = (
-        np.array(
-            [
-                rig.spectrometer.reading_duration_s(wavelength_nm, plan.references.averages_of(kind))
-                for kind, _ in sequence
-            ],
-            dtype=np.float64,
-        )
-        for sequence in (start_references, end_references)
-    )
-    if end_references:
-        end_s[0] += _motion_s(
-            rig, np.array([theta_i[-1], baseline[0]]), np.array([theta_mes[-1], baseline[1]])
-        )[0]
-    return Durations(position_s, start_s, end_s)
-
-
-def _motion_s(rig: RigConfig, theta_i_deg: FloatArray, theta_mes_deg: FloatArray) -> FloatArray:
-    """Return the time of each move along a list of k + 1 positions, (k,) seconds."""
-    stage = rig.stage
-    slower = [
-        max(_axis_s(stage.theta_i, to_i - from_i), _axis_s(stage.theta_mes, to_mes - from_mes))
-        for (from_i, to_i), (from_mes, to_mes) in zip(
-            pairwise(theta_i_deg.tolist()), pairwise(theta_mes_deg.tolist()), strict=True
-        )
-    ]
-    return np.array(slower, dtype=np.float64)
-
-
-def _axis_s(axis: AxisConfig, distance_deg: float) -> float:
-    if distance_deg == 0.0:
-        return 0.0
-    if axis.backlash_deg == 0.0:
-        return axis.move_duration_s(distance_deg)
-    # half of the moves overshoot and come back; which half depends on the driver, and the longer is counted
-    return axis.move_duration_s(abs(distance_deg) + axis.backlash_deg) + axis.move_duration_s(
-        axis.backlash_deg
-    )
-
-
-def estimate(plan: Plan, rig: RigConfig) -> float:
-    """Return the estimated instrument time of the scan in seconds, references included; see `durations`."""
-    return durations(plan, rig).total_s

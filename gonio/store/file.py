@@ -75,7 +75,8 @@ class ScanFile:
         data.attrs["axes"] = ["position", "wavelength"]
         data.attrs["title"] = plan.title
         positions = plan.positions()
-        n, m = len(positions), len(plan.wavelength_nm)
+        wavelength_nm = plan.wavelength_nm if header.wavelength_nm is None else header.wavelength_nm
+        n, m = len(positions), len(wavelength_nm)
         rows = chunk_rows(m)
         for name, column in COLUMNS.items():
             shape = {"nm": (n, m), "n": (n,), "m": (m,)}[column.dims]
@@ -93,7 +94,7 @@ class ScanFile:
             if column.dims in ("n", "m"):
                 data.attrs[f"{name}_indices"] = 0 if column.dims == "n" else 1
         data["quality"].attrs["bits"] = QUALITY_BITS
-        data["wavelength"][...] = plan.wavelength_nm
+        data["wavelength"][...] = wavelength_nm
         data["detector_index"][...] = header.detector_index
         data["position"][...] = np.arange(n)
         data["theta_i_set"][...] = [p.theta_i_deg for p in positions]
@@ -146,7 +147,7 @@ class ScanFile:
                     "kind": record.kind,
                     "when": record.when,
                     "polarization": record.polarization,
-                    "averages": record.averages,
+                    "averages": np.max(record.averages),
                     "theta_i": record.theta_i_deg,
                     "theta_mes": record.theta_mes_deg,
                     "time": record.time_s,
@@ -167,7 +168,7 @@ class ScanFile:
         raw = np.stack([record.signal_v for record in records])
         raw_sd = np.stack([record.signal_sd_v for record in records])
         time_s = np.stack([record.time_s for record in records])
-        averages = np.array([record.averages for record in records])
+        averages = np.stack([np.broadcast_to(record.averages, raw.shape[1:]) for record in records])
         theta_i = np.array([record.theta_i_deg for record in records])
         theta_mes = np.array([record.theta_mes_deg for record in records])
         reduced = self._reduction.apply(
@@ -185,7 +186,7 @@ class ScanFile:
                 ("theta_i", theta_i),
                 ("theta_mes", theta_mes),
                 ("theta_o", theta_mes - theta_i),
-                ("time", time_s[:, 0]),
+                ("time", np.fmin.reduce(time_s, axis=1)),  # its pass may run from long to short wavelengths
                 ("polarizer_angle", np.array([record.polarizer_deg for record in records])),
                 ("averages", averages),
             ):

@@ -55,6 +55,7 @@ COLUMNS: dict[str, Column] = {
     ),
     "reading_time": Column("nm", "f8", "s", "instrument time since the scan began"),
     "wavelength_readback": Column("nm", "f8", "nm", "wavelength read back from the monochromator"),
+    "averages": Column("nm", "u4", "1", "readings averaged in raw_signal", 0.0),
     "quality": Column(
         "nm", "u2", "1", "bits of gonio.devices.Quality, 0 is a good reading", float(Quality.NOT_MEASURED)
     ),
@@ -70,9 +71,8 @@ COLUMNS: dict[str, Column] = {
     "time": Column("n", "f8", "s", "instrument time of the first reading since the scan began"),
     "polarization": Column("n", "str", "", "polarization of the incident beam, s or p"),
     "polarizer_angle": Column("n", "f8", "deg", "angle of the polarizer's rotator, read back"),
-    "averages": Column("n", "u4", "1", "readings averaged in raw_signal", 0.0),
     # per wavelength
-    "wavelength": Column("m", "f8", "nm", "wavelength, as set"),
+    "wavelength": Column("m", "f8", "nm", "wavelength, as set, ascending within each detector"),
     "detector_index": Column("m", "u1", "1", "index into detector_names"),
 }
 

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from gonio.devices import FloatArray, Polarization
 
 ReferenceKind = Literal["dark", "baseline"]
-When = Literal["start", "end"]
 Level = Literal["info", "warning", "error"]
 
 
@@ -56,6 +55,7 @@ class ScanHeader:
     program: str
     start_time: str  # ISO 8601 with offset
     unix_s: float
+    wavelength_nm: FloatArray | None = None  # (m,) of the columns; None if they are the plan's, once each
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,11 +63,11 @@ class ReferenceRecord:
     """One pass with the shutter closed (polarization ``any``) or of the direct beam; arrays (m,)."""
 
     kind: ReferenceKind
-    when: When
+    when: str  # start, end, or "before K" with the number of a position
     polarization: str
     theta_i_deg: float
     theta_mes_deg: float
-    averages: int
+    averages: int | NDArray[np.integer]
     unix_s: float
     wavelength_nm: FloatArray
     signal_v: FloatArray
@@ -78,14 +78,17 @@ class ReferenceRecord:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionRecord:
-    """One whole position; angles and wavelengths (m,) are read back from the devices."""
+    """One whole position; angles and wavelengths (m,) are read back from the devices.
+
+    `averages` is one number for all wavelengths, or (m,).
+    """
 
     index: int
     polarization: Polarization
     theta_i_deg: float
     theta_mes_deg: float
     polarizer_deg: float
-    averages: int
+    averages: int | NDArray[np.integer]
     unix_s: float
     wavelength_nm: FloatArray
     signal_v: FloatArray

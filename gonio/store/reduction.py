@@ -175,10 +175,10 @@ class Reduction:
             return np.full(m, np.nan)
         value = np.stack([_good(reference) for reference in references])
         sd = np.stack([reference.signal_sd_v for reference in references])
-        dof = np.array([reference.averages - 1 for reference in references], dtype=np.float64)
+        dof = _averages(references, m) - 1.0
         with np.errstate(invalid="ignore", divide="ignore"):
             variance = np.where(np.isfinite(value), (sd / value if relative else sd) ** 2, np.nan)
-        weight = np.where(np.isfinite(variance), dof[:, None], 0.0)
+        weight = np.where(np.isfinite(variance), dof, 0.0)
         total = weight.sum(axis=0)
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = np.where(total > 0, (weight * np.nan_to_num(variance)).sum(axis=0) / total, np.nan)
@@ -191,7 +191,7 @@ class Reduction:
             return None
         value = np.stack([_good(reference) for reference in references])
         time_s = np.stack([reference.time_s for reference in references])
-        averages = np.array([reference.averages for reference in references], dtype=np.float64)[:, None]
+        averages = _averages(references, value.shape[1])
         variance = single_var * (value**2 if relative else 1.0) / averages
         value, time_s, variance = _fill_gaps(value, time_s, variance)
         walk = np.zeros((max(len(references) - 1, 0), value.shape[1]))
@@ -221,10 +221,11 @@ class Reduction:
         ----------
         raw_v, raw_sd_v, time_s : (n, m) float64
             Mean and single-reading standard deviation in volts, and seconds since the scan began.
-        averages : (n,) int
+        averages : (n,) or (n, m) int
         polarization : n of ``"s"`` or ``"p"``
         """
         shape = raw_v.shape
+        averages = np.broadcast_to(averages if averages.ndim == 2 else averages[:, None], shape)
         dark, dark_var = self._dark.at(time_s) if self._dark else _unknown(shape)
         baseline, baseline_var = _unknown(shape)
         chosen = np.asarray(polarization)
@@ -241,7 +242,7 @@ class Reduction:
             beam_var = np.maximum(self._baseline_relative_var * baseline**2 - self._dark_var, 0.0)
             predicted = self._dark_var + beam_var * np.maximum(r, 0.0)
             single_var = self._own_scatter(raw_sd_v, averages, predicted)
-            r_sd = np.sqrt(single_var / averages[:, None]) / full
+            r_sd = np.sqrt(single_var / averages) / full
             return Reduced(
                 r=r,
                 r_sd=np.where(np.isfinite(r), r_sd, np.nan),
@@ -261,7 +262,7 @@ class Reduction:
         if not np.any(averages > 1):
             return predicted
         scale = np.where(np.isfinite(predicted) & (predicted > 0), predicted, 1.0)
-        dof = np.broadcast_to(np.maximum(averages - 1, 0).astype(np.float64)[:, None], raw_sd_v.shape)
+        dof = np.maximum(averages.astype(np.float64) - 1.0, 0.0)
         ratio = pooled_variance(raw_sd_v**2 / scale, dof, self._detector_index)
         return np.where(np.isfinite(ratio), ratio * scale, predicted)
 
@@ -269,6 +270,11 @@ class Reduction:
 def _good(reference: ReferenceRecord) -> FloatArray:
     """Return the signal with NaN where a flag says that it is none."""
     return np.where(reference.quality & _BAD == 0, reference.signal_v, np.nan)
+
+
+def _averages(references: Sequence[ReferenceRecord], m: int) -> FloatArray:
+    """Return the number of readings behind each value, (k, m)."""
+    return np.stack([np.broadcast_to(np.asarray(r.averages, dtype=np.float64), (m,)) for r in references])
 
 
 def _unknown(shape: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:

@@ -295,12 +295,16 @@ def test_a_detector_beyond_the_gratings_is_a_mistake_in_the_rig_file():
 
 
 def test_the_estimate_by_hand():
-    """Settling 0.5 s each, 0.7 s more at first and after each change, 175 nm/s, changes as configured."""
+    """Settling 0.5 s each, 0.7 s more at first and after each change, 175 nm/s after a start of 0.02 s, changes as
+    configured.
+    """
     few = np.array([600.0, 610.0])
-    assert CONFIG.reading_duration_s(few, 1) == pytest.approx(2 * 0.5 + 0.7 + 20 / 175)
-    assert CONFIG.reading_duration_s(few, 3) == pytest.approx(2 * 0.5 + 0.7 + 20 / 175 + 2 * 2 * 0.3)
+    drive_s = 2 * 0.02 + 20 / 175
+    assert CONFIG.reading_duration_s(few, 1) == pytest.approx(2 * 0.5 + 0.7 + drive_s)
+    assert CONFIG.reading_duration_s(few, 3) == pytest.approx(2 * 0.5 + 0.7 + drive_s + 2 * 2 * 0.3)
+    assert CONFIG.reading_duration_s(few, np.array([1, 3])) == pytest.approx(1.7 + drive_s + 2 * 0.3)
     over_all = np.array([600.0, 900.0])  # one grating, filter and port there and back
     assert CONFIG.reading_duration_s(over_all, 1) == pytest.approx(
-        2 * 0.5 + 2 * 0.7 + 600 / 175 + 2 * (5.0 + 0.8 + 1.0)
+        2 * 0.5 + 2 * 0.7 + 2 * 0.02 + 600 / 175 + 2 * (5.0 + 0.8 + 1.0)
     )
     assert CONFIG.reading_duration_s(np.array([]), 1) == 0.0
