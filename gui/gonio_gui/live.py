@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.devices import FloatArray, Polarization
-from gonio.plan import Plan, Position
+from gonio.plan import Plan, Position, channels
 from gonio.rig import RigConfig
 from gonio.store import Scan
 from gonio.store.records import PositionRecord, ReferenceRecord
@@ -58,8 +58,9 @@ class LiveScan:
 
     def __init__(self, plan: Plan, rig: RigConfig) -> None:
         self.plan = plan
-        self.wavelength_nm = plan.wavelength_nm
-        self.detector_index = rig.detector_for(plan.wavelength_nm)
+        columns = channels(plan, rig)
+        self.wavelength_nm = columns.wavelength_nm
+        self.detector_index = columns.detector_index
         self._positions = plan.positions()
         n, m = len(self._positions), len(self.wavelength_nm)
         # rows are only read where `measured`: untouched pages of a large plan cost no memory
