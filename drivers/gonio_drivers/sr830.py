@@ -12,6 +12,8 @@ Reference: Stanford Research Systems, SR830 manual, chapter 5.
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Self
 
@@ -21,7 +23,11 @@ from gonio.config import Count, Number, Positive, Strict
 from gonio.errors import ConnectionFailed, DeviceError
 from gonio.rig import SIMULATED, Context
 from gonio_drivers.decimals import decimal, whole
-from gonio_drivers.lines import Line, connecting, open_line
+from gonio_drivers.lines import Line, NoReply, connecting, open_line
+from gonio_drivers.sr830_guards import GUARDS, check_guards, check_unchanged, numbers_of
+
+_IDENTITY = re.compile(r"stanford[_ ]research[_ ]systems *, *SR830\b", re.IGNORECASE)
+_LOCK_ATTEMPTS = 3
 
 FULL_SCALE_V = tuple(
     mantissa * 10.0**decade
@@ -45,7 +51,7 @@ White noise behind n equal low-passes has the correlation exp(-x) p_n(x) at x ti
 p_2 = 1 + x, p_3 = 1 + x + x2/3, p_4 = 1 + x + 2 x2/5 + x3/15.
 """
 
-INPUT_OVERLOAD, FILTER_OVERLOAD, OUTPUT_OVERLOAD = 1, 2, 4  # bits of LIAS?
+INPUT_OVERLOAD, FILTER_OVERLOAD, OUTPUT_OVERLOAD, UNLOCKED = 1, 2, 4, 8  # bits of LIAS?
 _LARGEST_V = 10.0  # the largest range is 1 V; far more is a damaged exponent
 
 
@@ -131,6 +137,9 @@ class SR830:
     def __init__(self, config: SR830Config, context: Context, line: Line) -> None:
         self._config = config
         self._line = line
+        self._clock = context.clock
+        self._guarded: dict[str, str] = {}  # answers on connecting, by question
+        self._range = -1  # not known yet
         self._status_first = True
         self._greet()
         self._description = self._identified()
@@ -158,19 +167,20 @@ class SR830:
         DeviceError
             Something is not as it was set; the readings since the last look are not to be trusted.
         """
-        statements = ("OFLT?", "OFSL?", "SENS?")
+        statements = ("OFLT?", "OFSL?", "SENS?", *self._guarded)
         expected = [self._time_constant, SLOPES_DB_OCT.index(self._config.slope_db_oct), self._range]
         answers = self._line.query(lambda: self._exchange(";".join(statements), len(statements)))
-        got = [self._numbers(answer, 1)[0] for answer in answers]
+        got = [self._numbers(answer, 1)[0] for answer in answers[:3]]
         if got != expected:
             self._range = -1  # unknown: the next range is set whatever it is
             raise DeviceError(
                 self._line.device,
-                f"answers {';'.join(statements)} with {', '.join(f'{g:g}' for g in got)}, although "
+                f"answers {';'.join(statements[:3])} with {', '.join(f'{g:g}' for g in got)}, although "
                 f"{', '.join(str(e) for e in expected)} was set: it was switched off and on, or set at its "
                 "panel",
                 "leave it alone while it measures, check its power supply, then repeat",
             )
+        check_unchanged(self._line.device, self._guarded, answers[3:])
 
     def recover(self) -> str:
         """Come back to a known state after a failure: line, identity, settings; say what was done.
@@ -203,7 +213,32 @@ class SR830:
         return True
 
     def read(self) -> LockinReading:
-        """Return X and Y at one instant and whether anything overloaded since the last look; one exchange."""
+        """Return X and Y at one instant and whether anything overloaded since the last look; one exchange.
+
+        Raises
+        ------
+        DeviceError
+            The instrument does not answer, or is not locked to the chopper.
+        """
+        reading, bits = self._reading()
+        overload = reading.overload
+        for _ in range(_LOCK_ATTEMPTS):
+            if not bits & UNLOCKED:
+                return LockinReading(reading.x_v, reading.y_v, overload)
+            # The bit is latched: the lock may be back, and the filter then needs its time.
+            self._clock.sleep(self._config.jump_settle_s())
+            reading, bits = self._reading()
+            overload |= reading.overload
+        if not bits & UNLOCKED:
+            return LockinReading(reading.x_v, reading.y_v, overload)
+        raise DeviceError(
+            self._line.device,
+            "is not locked to its reference: what it reads means nothing",
+            "check that the chopper turns and that its reference cable is plugged in, then repeat",
+        )
+
+    def _reading(self) -> tuple[LockinReading, int]:
+        """Return one look at outputs and status bits."""
         outputs, status = self._line.query(self._look)
         x_v, y_v = self._numbers(outputs, 2)
         if max(abs(x_v), abs(y_v)) > _LARGEST_V:
@@ -212,7 +247,7 @@ class SR830:
             )
         bits = self._whole(status, 255)
         overload = bool(bits & (INPUT_OVERLOAD | FILTER_OVERLOAD | OUTPUT_OVERLOAD))
-        return LockinReading(x_v, y_v, overload)
+        return LockinReading(x_v, y_v, overload), bits
 
     def close(self) -> None:
         """Release the line."""
@@ -249,6 +284,20 @@ class SR830:
             self._set_phase(config.phase_deg)
         (answer,) = self._line.query(lambda: self._exchange("SENS?", 1))
         self._range = self._whole(answer, len(FULL_SCALE_V) - 1)
+        self._guarded = self._found_or_set(GUARDS)
+        check_guards(self._line.device, self._guarded)
+
+    def _found_or_set(self, guards: Mapping[str, str]) -> dict[str, str]:
+        """Return the answer to each question that the instrument knows, all in one exchange."""
+        try:
+            sections = self._line.query(lambda: self._sections(list(guards.values())))
+        except NoReply:  # a clone that takes no further statement of a line after one that it does not know
+            return {}
+        return {
+            question: answer
+            for question, answer in zip(guards, sections, strict=True)
+            if answer is not None and numbers_of(answer)
+        }
 
     def _identified(self) -> str:
         (answer,) = self._line.query(lambda: self._exchange("*IDN?", 1))
@@ -256,7 +305,8 @@ class SR830:
             raise ConnectionFailed(
                 self._line.device,
                 f"identified itself as '{answer}', not as an SR830",
-                "check the address of the lock-in in the rig file",
+                "check the address of the lock-in in the rig file; other models (SR810, SR850, SR865) have "
+                "other ranges and status bits and need a driver of their own",
             )
         return answer
 
@@ -298,8 +348,26 @@ class SR830:
         except ValueError:
             number = -1
         if not 0 <= number <= highest:
-            raise self._line.damaged(answer.encode("latin-1", "replace"), f"not one of the whole numbers 0...{highest}")
+            raise self._line.damaged(
+                answer.encode("latin-1", "replace"), f"not one of the whole numbers 0...{highest}"
+            )
         return number
+
+    def _sections(self, statements: Sequence[str]) -> list[str | None]:
+        """Return the answer to each statement, None where there is none; the identity ends each."""
+        sections: list[str | None] = []
+        with self._line.transaction(self._prove):
+            self._line.send(
+                ";".join(f"{statement};*IDN?" for statement in statements).encode("ascii") + b"\r"
+            )
+            deadline_s = self._line.deadline_s()
+            for _ in statements:
+                answer = None
+                while not _is_sr830(text := self._line.read_line(deadline_s).strip().decode("latin-1")):
+                    answer = text
+                sections.append(answer)
+            self._line.answered()
+        return sections
 
     def _exchange(self, statements: str, answers: int) -> list[str]:
         with self._line.transaction(self._prove):
@@ -309,7 +377,7 @@ class SR830:
         line = self._line
         line.send(statements.encode("ascii") + b"\r")
         deadline_s = line.deadline_s()
-        got = [line.read_until(b"\r", deadline_s).strip().decode("latin-1") for _ in range(answers)]
+        got = [line.read_line(deadline_s).strip().decode("latin-1") for _ in range(answers)]
         line.answered()
         return got
 
@@ -320,7 +388,7 @@ class SR830:
 
 
 def _is_sr830(answer: str) -> bool:
-    return answer.startswith("Stanford_Research_Systems,SR830")
+    return _IDENTITY.match(answer) is not None
 
 
 def open_sr830(config: SR830Config, context: Context) -> SR830:

@@ -1,8 +1,8 @@
-"""Which warning flags of a Zaber device end a move, which say that its count has no reference, which are notes?
+"""Which warning flags of a Zaber device are faults, which say that its count has no reference?
 
-Flags of two letters: ``F`` for faults, ``W`` for warnings, ``N`` for notes. Notes that change no position are
-left out: ND, NJ, NR, NT, NU (another program's stream, a joystick, a rounded setting), WS (stalled and recovered
-by itself), WT and WV (warm, voltage).  Reference: Zaber, ASCII Protocol Manual, warning flags.
+``F`` begins a fault, ``W`` a warning, ``N`` a note.  Those that change no position are left out: ND, NJ, NR,
+NT, NU (another program's stream, a joystick, a rounded setting), WS (stalled and recovered by itself), WT and
+WV (warm, voltage).  Reference: Zaber, ASCII Protocol Manual, warning flags.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from gonio_drivers.scanning import ScanningSpectrometer
 from gonio_drivers.sr830 import SR830
 
 from .test_cs260 import INFO, says
-from .test_sr830 import CONNECT, READ
+from .test_sr830 import AS_BEFORE, CONNECT, GUARDED, READ
 
 CONFIG = parse_rig(default_rig_text().replace("pipelined = true", "pipelined = false")).spectrometer
 
@@ -91,13 +91,13 @@ def test_three_exchanges_per_reading_when_nothing_else_changes(spectrometer):
     assert (np.diff(reading.time_s) > 0).all()
 
 
-SETTINGS = b"OFLT?;OFSL?;SENS?\r"
+SETTINGS = b"OFLT?;OFSL?;SENS?" + GUARDED
 
 
 def test_at_the_end_of_a_pass_everything_is_still_as_it_was_set(spectrometer):
     asked = [says("GRAT?", "1"), says("FILTER?", "2"), says("OUTPORT?", "1"), says("SHUTTER?", "O")]
     device = spectrometer(
-        [*OPEN_AT_500, *drive(500), *asked], [read(0.5), (SETTINGS, b"8\r0\r26\r")], verifies=True
+        [*OPEN_AT_500, *drive(500), *asked], [read(0.5), (SETTINGS, b"8\r0\r26\r" + AS_BEFORE)], verifies=True
     )
     assert measure(device, 500, beam="direct").signal_v.tolist() == [0.5]
 
@@ -114,7 +114,9 @@ def test_a_monochromator_that_forgot_its_settings_spoils_the_pass(spectrometer):
 def test_a_lockin_set_at_its_panel_spoils_the_pass(spectrometer):
     asked = [says("GRAT?", "1"), says("FILTER?", "2"), says("OUTPORT?", "1"), says("SHUTTER?", "O")]
     device = spectrometer(
-        [*OPEN_AT_500, *drive(500), *asked], [read(0.5), (SETTINGS, b"10\r0\r26\r")], verifies=True
+        [*OPEN_AT_500, *drive(500), *asked],
+        [read(0.5), (SETTINGS, b"10\r0\r26\r" + AS_BEFORE)],
+        verifies=True,
     )
     with pytest.raises(DeviceError, match=r"lockin .* with 10, 0, 26, although 8, 0, 26 was set"):
         measure(device, 500, beam="direct")

@@ -23,7 +23,12 @@ CONNECT = (
     (b"OFLT 8;OFLT?\r", b"8\r"),
     (b"OFSL 0;OFSL?\r", b"0\r"),
     (b"SENS?\r", b"26\r"),
+    (
+        b"ISRC?;*IDN?;HARM 1;HARM?;*IDN?;OEXP 1,0,0;OEXP? 1;*IDN?;OEXP 2,0,0;OEXP? 2;*IDN?;PHAS?;*IDN?\r",
+        IDENTITY.join([b"0\r", b"1\r", b"0,0\r", b"0,0\r", b"-30.50\r", b""]),
+    ),
 )
+GUARDED, AS_BEFORE = b";ISRC?;HARM?;OEXP? 1;OEXP? 2;PHAS?\r", b"0\r1\r0,0\r0,0\r-30.50\r"
 READ = b"SNAP? 1,2;LIAS?\r"
 
 
@@ -50,10 +55,9 @@ def test_a_reading_is_one_exchange(lockin):
 
 
 @pytest.mark.parametrize(
-    ("bits", "overload"), [(0, False), (1, True), (2, True), (4, True), (8, False), (12, True)]
+    ("bits", "overload"), [(0, False), (1, True), (2, True), (4, True), (16, False), (20, True)]
 )
 def test_overload_bits(lockin, bits, overload):
-    """Bit 3 is unlock of the reference, not an overload."""
     assert lockin((READ, b"0.1,0\r%d\r" % bits)).read().overload is overload
 
 
@@ -67,7 +71,7 @@ def test_range_is_set_and_verified_in_one_exchange_and_only_when_it_changes(lock
 
 
 def test_phase_is_set_if_the_rig_file_gives_it(lockin):
-    connect = (*CONNECT[:4], (b"PHAS -30.50;PHAS?\r", b"-30.50\r"), CONNECT[4])
+    connect = (*CONNECT[:4], (b"PHAS -30.50;PHAS?\r", b"-30.50\r"), *CONNECT[4:])
     lockin(connect=connect, config=SR830Config(driver="sr830", phase_deg=-30.5))
 
 
