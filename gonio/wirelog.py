@@ -254,11 +254,12 @@ def _begin(log: WireLogFile, role: str, opening: Opening) -> LineLog:
         if opening.session and session.start == opening.session:
             break
     else:
-        session = log.sessions[-1] if log.sessions else Session("")
-        if opening.session or session.start or role in session.lines:
+        last = log.sessions[-1] if log.sessions else None
+        if last is None or opening.session or last.start or role in last.lines:
             session = Session(opening.session)
-        if session not in log.sessions[-1:]:
             log.sessions.append(session)
+        else:  # written by hand, without a session
+            session = last
     line = session.lines.setdefault(role, LineLog(role, opening))
     if line.protocol != opening.protocol:
         raise _Malformed(

@@ -164,7 +164,7 @@ def _report(tapes: list[LineTape], *, strict: bool) -> int:
     for tape in tapes:
         counts = tape.counts
         text = (
-            f"{tape.role}: {counts.asked} requests, {counts.repeated} of them answered as the time before, "
+            f"{tape.role}: {counts.asked} requests, {counts.repeated} answered with an earlier reply, "
             f"{counts.unexpected} not answered"
         )
         failed |= counts.unexpected > 0
@@ -172,7 +172,7 @@ def _report(tapes: list[LineTape], *, strict: bool) -> int:
         if left is not None:
             failed |= strict
             text += (
-                f"; {tape.commands_left()} commands of the log were not given, the first is "
+                f"; commands of the log not given: {tape.commands_left()}, the first is "
                 f"'{left.request.what}' (line {left.number})"
             )
         print(text, file=sys.stderr)
