@@ -33,7 +33,7 @@ LOST = "connection lost"
 Direction = Literal[">", "<", "="]
 
 _OPENING = re.compile(
-    r"wire-log (?P<version>\d+): (?P<protocol>[^\s,]+)(?: at (?P<address>\S+?))?"
+    r"wire-log (?P<version>\d{1,9}): (?P<protocol>[^\s,]+)(?: at (?P<address>\S+?))?"
     r"(?:, session of (?P<session>[^\s,]+))?(?:, instrument clock x(?P<speed>\S+))?$"
 )
 _BACK_S = 0.01  # two threads may write their records in the other order than they took their times

@@ -24,14 +24,13 @@ class DriverTarget:
     name = ""
     has_checksum = True
 
-    def __init__(self) -> None:
-        self.time = VirtualTime()
+    def __init__(self, time: VirtualTime) -> None:
+        self.time = time
         self.context = Context("fuzz", VirtualClock(virtual=self.time))
         self.said: list[Any] = []
         self.rng = Random(0)
         self.port = BadLine(self.time, self._device, self._forge)
-        with self.time.installed():
-            self.connect(Line(self.port, "device", "fuzz"))
+        self.connect(Line(self.port, "device", "fuzz"))
 
     def one(self, rng: Random) -> Result:
         """Make one call whose replies are changed, and judge what it returns."""
@@ -39,11 +38,10 @@ class DriverTarget:
         self.said = []
         self.port.begin(rng, _damaged_writes(rng))
         self.prepare(rng)
-        with self.time.installed():
-            try:
-                value = self.call()
-            except DeviceError as error:
-                return Result(refused=type(error).__name__, reads=self.port.reads)
+        try:
+            value = self.call()
+        except DeviceError as error:
+            return Result(refused=type(error).__name__, reads=self.port.reads)
         return Result(self._verdict(value), reads=self.port.reads, forged=self.port.forged)
 
     def _verdict(self, value: Any) -> Verdict:
@@ -53,9 +51,9 @@ class DriverTarget:
             return Verdict.EARLIER
         if not self.has_checksum:
             return Verdict.ABSURD if self.is_absurd(value) else Verdict.UNPROTECTED
-        if self.is_said(value, self.port.delivered):
-            return Verdict.VALID_OTHER
-        return Verdict.UNASKED if self.is_said(value, self.port.copies) else Verdict.CORRUPT
+        if self.is_said(value, self.port.copies):
+            return Verdict.UNASKED
+        return Verdict.VALID_OTHER if self.is_said(value, self.port.delivered) else Verdict.CORRUPT
 
     def connect(self, line: Line) -> None:
         raise NotImplementedError

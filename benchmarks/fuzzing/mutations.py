@@ -12,9 +12,42 @@ LONGEST_NOISE = 9000  # more than a line's buffer holds without a terminator
 WORDS = tuple(
     word.encode("utf-8")
     for word in (
-        *("nan", "NaN", "-inf", "inf", "1e999", "-1e400", "1e308", "0x10", "1_000", "٣", "²", "½", "−5", "\0"),
+        *(
+            "nan",
+            "NaN",
+            "-inf",
+            "inf",
+            "1e999",
+            "-1e400",
+            "1e308",
+            "0x10",
+            "1_000",
+            "٣",
+            "²",
+            "½",
+            "−5",
+            "\0",
+        ),
         *("9" * 30, "-" + "9" * 19, "2147483648", "-2147483649", "FFFFFFFF", "80000000", "", " ", "\r", "\n"),
-        *("-0", "+5", "1.", ".5", "1e", "--", "@", "!", "#", ":", ",", ";", "?", "é", "\u2028", "\x1c", "\x85"),
+        *(
+            "-0",
+            "+5",
+            "1.",
+            ".5",
+            "1e",
+            "--",
+            "@",
+            "!",
+            "#",
+            ":",
+            ",",
+            ";",
+            "?",
+            "é",
+            "\u2028",
+            "\x1c",
+            "\x85",
+        ),
     )
 )
 """Numbers that are none, numbers that no instrument shows, and characters with a meaning in some protocol."""

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from random import Random
 from typing import Protocol
 
+from fuzzing.virtual_time import VirtualTime
+
 
 class Verdict(enum.Enum):
     """How one call with one input ended."""
@@ -28,6 +30,8 @@ class Target(Protocol):
     """A parser with something that feeds it."""
 
     name: str
+
+    def __init__(self, time: VirtualTime) -> None: ...
 
     def one(self, rng: Random) -> Result:
         """Feed one input."""

@@ -6,7 +6,7 @@ import time
 from random import Random
 
 from fuzzing.outcome import Tally, Target
-from gonio.errors import GonioError
+from fuzzing.virtual_time import VirtualTime
 
 RESTART = 1000
 """Inputs after which a target is made anew: what went wrong before must not hide what goes wrong later."""
@@ -29,15 +29,15 @@ def run(make: type[Target], n_inputs: int, seed: int) -> Tally:
 def run_block(make: type[Target], seed: int, block: int, n_inputs: int, tally: Tally) -> None:
     """Feed one block of inputs."""
     rng = Random(f"{make.name} {seed} {block}")
-    target = make()
-    for i in range(n_inputs):
-        where = f"{make.name} seed {seed} block {block} input {i}"
-        try:
-            result = target.one(rng)
-        except GonioError as error:  # a target hands back the errors that it expects
-            tally.add_unexpected(error, where)
-        except Exception as error:
-            tally.add_unexpected(error, where)
-            target = make()
-        else:
-            tally.add(result, where)
+    virtual = VirtualTime()
+    with virtual.installed():
+        target = make(virtual)
+        for i in range(n_inputs):
+            where = f"{make.name} seed {seed} block {block} input {i}"
+            try:
+                result = target.one(rng)
+            except Exception as error:  # a target hands back the errors that it expects
+                tally.add_unexpected(error, where)
+                target = make(virtual)
+            else:
+                tally.add(result, where)

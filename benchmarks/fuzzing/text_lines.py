@@ -17,6 +17,13 @@ from gonio_drivers.lines import Line
 from gonio_drivers.sr830 import FULL_SCALE_V, SR830, SR830Config
 
 PULSES = 143360
+_FIXED_ANSWERS = {
+    "INFO": "NEWPORT CORP,CORNERSTONE 260",
+    "STB": "00",
+    "ERROR": "0",
+    "UNITS": "NM",
+    "HANDSHAKE": "0",
+}
 LARGEST_SIGNAL_V = 10.0  # the largest range of the SR830 is 1 V
 
 
@@ -116,7 +123,7 @@ class CS260Replies(DriverTarget):
         return f"{what} {wanted}"
 
     def _device(self, request: bytes) -> bytes:
-        answers = {"INFO": "NEWPORT CORP,CORNERSTONE 260", "STB": "00", "ERROR": "0", **self.state}
+        answers = {**_FIXED_ANSWERS, **self.state}
         out = b""
         for line in request.decode("ascii").splitlines():
             out += line.encode("ascii") + b"\r\n"
@@ -134,7 +141,17 @@ class CS260Replies(DriverTarget):
     def _forge(self, rng: Random, reply: bytes) -> bytes:
         lines = reply.split(b"\r\n")
         lines[rng.randrange(len(lines))] = rng.choice(
-            (b"nan", b"inf", b"%.3f" % rng.uniform(200, 1600), b"9" * 5000, b"WAVE?", b"00", b"20", b"O", b"2")
+            (
+                b"nan",
+                b"inf",
+                b"%.3f" % rng.uniform(200, 1600),
+                b"9" * 5000,
+                b"WAVE?",
+                b"00",
+                b"20",
+                b"O",
+                b"2",
+            )
         )
         return b"\r\n".join(lines)
 
