@@ -177,7 +177,7 @@ def test_print(run, log):
     )
     assert records[3].startswith(r"    0.030000    +10.000 stage  < @01 1 01 OK IDLE -- 7\r\n  40 30")
     # the hexadecimal bytes stand in one column
-    assert len({line.index(line.split("  ")[-1]) for line in records if " = " not in line}) == 1
+    assert len({line.rindex("  ") for line in records if " = " not in line}) == 1
     assert head.split()[:4] == ["role", "protocol", "requests", "commands"]
     assert stage.split() == ["stage", "zaber", "3", "1", "2", "10.000", "10.000", "1", "4", "-"]
     assert lockin.split() == ["lockin", "sr830", "2", "1", "1", "10.000", "10.000", "0", "0", "-"]
