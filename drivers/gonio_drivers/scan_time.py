@@ -70,5 +70,8 @@ def pass_time(
         total_s += sum((count - 1) * spacing_s for count in seen.values())
         exchanges["lockin"] += sum(seen.values())
     total_s += searches * jump_settle_s
+    # at the end everything that was set is asked for once more: grating, port, shutter, filter; the amplifier
+    exchanges["monochromator"] += 3 + bool(mono.filters)
+    exchanges["lockin"] += 1
     exchanges["lockin"] += round(_SET * searches)
     return PassTime(total_s, dict(exchanges))

@@ -1,4 +1,4 @@
-"""`gonio plan`, `gonio scan`, `gonio devices`: what is done with the instrument."""
+"""`gonio scan`, `gonio devices`: what is done with the instrument."""
 
 from __future__ import annotations
 
@@ -15,32 +15,9 @@ from gonio.acquire import Runner, Snapshot, State, resume_scan, stored_rig
 from gonio.bench_process import served
 from gonio.cli.progress import progress_bar, readable_duration
 from gonio.errors import RefusedError, StoreError
-from gonio.plan import Plan, check, estimate, load_plan
+from gonio.plan import Plan, check, load_plan
 from gonio.rig import RigConfig, load_rig, open_rig
 from gonio.store import load
-
-
-def dry_run(plan_file: Path, rig_file: Path | None) -> int:
-    """Check every position of a plan and print counts, refusals and the time estimate."""
-    rig = load_rig(rig_file)
-    plan = load_plan(plan_file)
-    positions = plan.positions()
-    refusals = check(plan, rig)
-    print(
-        f"{plan.title}: {len(positions)} positions, {len(plan.wavelength_nm)} wavelengths, rig '{rig.name}'"
-    )
-    for refusal in refusals:
-        print(f"refused: {refusal}", file=sys.stderr)
-    if refusals:
-        print(
-            f"{len(refusals)} refused; nothing would be measured until the plan is corrected", file=sys.stderr
-        )
-        return 1
-    print(
-        "every position is allowed; estimated duration "
-        f"{readable_duration(estimate(plan, rig))} of instrument time"
-    )
-    return 0
 
 
 def scan(plan_file: Path, rig_file: Path | None, output: Path, *, wire_log: Path | None) -> int:

@@ -43,6 +43,12 @@ def build_parser() -> argparse.ArgumentParser:
     )
     plan.add_argument("plan", type=Path, metavar="PLAN.toml")
     _rig_option(plan)
+    plan.add_argument(
+        "--measure",
+        action="store_true",
+        help="connect to the rig and measure what an exchange takes, for the estimate; moves only the "
+        "monochromator and its shutter",
+    )
 
     scan = commands.add_parser("scan", help="acquire a scan, or resume one")
     scan.add_argument("plan", type=Path, nargs="?", metavar="PLAN.toml")
@@ -126,9 +132,9 @@ def _run(options: argparse.Namespace) -> int:
 
         return demo(options.out, quick=options.quick, rig_file=options.rig)
     if options.command == "plan":
-        from gonio.cli.acquisition import dry_run
+        from gonio.cli.dry_run import dry_run
 
-        return dry_run(options.plan, options.rig)
+        return dry_run(options.plan, options.rig, measure=options.measure)
     if options.command == "scan":
         from gonio.cli.acquisition import resume, scan
 

@@ -1,7 +1,7 @@
 """What is done when: the references and positions of a plan in their order, and how long each takes on a rig.
 
-A step is a move of the axes, a turn of the polarizer where it is due, a pass over the wavelengths, and a record
-on the disk.  Its time has two parts: instrument seconds (motion, settling, averaging) and real seconds (wires and
+A step is a move of the axes, a turn of the polarizer where it is due, a pass over the wavelengths, a look whether
+all stood still, and a record on the disk, which is written while the axes move on.  Its time has two parts: instrument seconds (motion, settling, averaging) and real seconds (wires and
 disk, from the rig's ``[latency]``).  They differ on a simulated bench whose clock runs fast.
 
 Not counted: homing, and the way to the first step, since nobody knows where the axes stand.
@@ -26,6 +26,7 @@ from gonio.rig import RigConfig
 ReferencePolarization = Literal["any", "s", "p"]
 
 _TURN_EXCHANGES = 3  # where it stands, the turn, where it stands then
+_STILL = {"stage": 2, "polarizer": 1}  # exchanges that prove, behind a pass, that nothing has turned meanwhile
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +175,8 @@ class _Model:
             baseline = self._rig.baseline
             beam = "dark" if task.kind == "dark" else "direct"
             angles = (baseline.theta_i_deg, baseline.theta_mes_deg)
-        instrument_s, real_s = self._move_time(self._at or angles, angles)
+        move_s, real_s = self._move_time(self._at or angles, angles)
+        instrument_s = move_s
         if task.polarization != "any" and task.polarization != self.polarization:
             # the first one too: where the rotator stands after homing is as good as elsewhere
             instrument_s += self._rig.polarizer.turn_s
@@ -187,9 +189,13 @@ class _Model:
         self._after = (
             float(self._channels.wavelength_nm[last]), int(self._channels.detector_index[last])
         )  # fmt: skip
-        return PlannedStep(
-            task, descending, instrument_s + pass_s, real_s + pass_real_s + self._rig.latency.record_s
-        )
+        latency = self._rig.latency
+        real_s += pass_real_s + latency.of(_STILL)
+        if isinstance(task, Position):  # the axes are on their way to the next one while it is stored
+            real_s += max(0.0, latency.record_s - move_s / self.clock_speed)
+        else:
+            real_s += latency.record_s
+        return PlannedStep(task, descending, instrument_s + pass_s, real_s)
 
     def _move_time_of(self, start: Angles, end: Angles) -> tuple[float, float]:
         found = move_time(self._rig, start, end)
