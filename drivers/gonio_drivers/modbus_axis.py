@@ -13,7 +13,6 @@ from pydantic import Field, model_validator
 from gonio.config import Count
 from gonio.errors import DeviceError, ReplyError
 from gonio.rig import SIMULATED, Context, Driver, StageConfig
-from gonio_drivers.axis import MotorAxis
 from gonio_drivers.drive import MotorConfig
 from gonio_drivers.lines import connecting
 from gonio_drivers.modbus import LOOPBACK, Canary, Framing, ModbusLine, WordOrder, open_modbus
@@ -22,6 +21,7 @@ from gonio_drivers.modbus_axis_map import RegisterMap
 from gonio_drivers.modbus_axis_reads import Span, choose_canary, plan_reads
 from gonio_drivers.modbus_axis_values import limits
 from gonio_drivers.stage import MotorStage
+from gonio_drivers.two_axes import open_two_axes
 
 
 class RegisterAxisConfig(MotorConfig):
@@ -186,27 +186,21 @@ def open_stage(config: RegisterStageConfig, context: Context) -> MotorStage:
         for unit, canary in config.canaries().items():
             line.use_canary(unit, canary)
             _try_canary(line, unit)
-        drives = {
-            name: RegisterDrive(
-                line,
-                axis.device,
-                name,
-                axis,
-                registers,
-                config.word_order,
-                context.clock,
-                referenced=not config.home_on_connect,
-            )
-            for name, (axis, registers) in config.axes().items()
-        }
-        stage = MotorStage(
-            MotorAxis("theta_i", config.theta_i, drives["theta_i"], context),
-            MotorAxis("theta_mes", config.theta_mes, drives["theta_mes"], context),
-            line=line,
-            descriptions={name: drive.describe() for name, drive in drives.items()},
+    axes = config.axes()
+
+    def make(name: str, axis: RegisterAxisConfig) -> RegisterDrive:
+        return RegisterDrive(
+            line,
+            axis.device,
+            name,
+            axis,
+            axes[name][1],
+            config.word_order,
+            context.clock,
+            referenced=not config.home_on_connect,
         )
-        stage.home_where_needed()
-    return stage
+
+    return open_two_axes(config, context, line.line, make, shared=line)
 
 
 def _try_canary(line: ModbusLine, unit: int) -> None:
