@@ -47,8 +47,8 @@ def main() -> int:
         )
     whole = sum(targets.values())
     print(
-        f"{'target':<21}{'inputs':>9}{'right':>9}{'refused':>9}{'valid (forged)':>16}{'copies':>8}{'unprot.':>9}"
-        f"{'absurd':>8}{'corrupt':>9}{'unexp.':>8}{'reads':>7}{'s':>6}"
+        f"{'target':<21}{'inputs':>9}{'right':>9}{'refused':>9}{'valid (forged)':>16}{'copies':>8}"
+        f"{'unprot.':>9}{'absurd':>8}{'corrupt':>9}{'unexp.':>8}{'reads':>7}{'s':>6}"
     )
     tallies = []
     for target, share in targets.items():

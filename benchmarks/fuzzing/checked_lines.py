@@ -1,5 +1,5 @@
-"""Replies of the drivers' protocols with a checksum: Zaber's ASCII lines and Modbus RTU; and Modbus TCP, which
-trusts TCP's.
+"""Replies of the protocols with a checksum: Zaber's ASCII lines and Modbus RTU; and Modbus TCP, which trusts
+TCP's.
 
 What was accepted is judged by a decoder of our own, which looks for a frame with a right checksum that says
 so anywhere in what was sent: CRC16 lets one damaged frame in 65536 pass, Zaber's sum one in 256.
@@ -34,9 +34,11 @@ class ZaberReplies(DriverTarget):
     """Position and flags of one axis, with checksums."""
 
     name = "zaber, checksums"
+    is_numbered = True
     checksums = True
 
     def connect(self, line: Line) -> None:
+        """Make the driver on its line."""
         self.flags: tuple[str, ...] = ()
         self.busy = False
         self.settings: dict[str, str] = {}
@@ -44,10 +46,12 @@ class ZaberReplies(DriverTarget):
         self.drive = ZaberDrive(ZaberLine(line, checksums=self.checksums), "axis", config)
 
     def prepare(self, rng: Random) -> None:
+        """Choose the call and what is true on the device."""
         self.flags = rng.choice(((), (), ("WR",), ("FS", "WR"), ("NI",)))
         self.busy = rng.random() < 0.3
 
     def call(self) -> Any:
+        """Make the call and return what the driver believes."""
         state = self.drive.state()
         return state.position_steps, state.moving, state.referenced, state.fault is not None
 
@@ -127,14 +131,17 @@ class ModbusRtuReplies(DriverTarget):
     unit = 1
 
     def connect(self, line: Line) -> None:
+        """Make the driver on its line."""
         line.reply_timeout_s = 1.0
         self.line = ModbusLine(line, self.framing, "big")
         self.what = 0
 
     def prepare(self, rng: Random) -> None:
+        """Choose the call and what is true on the device."""
         self.what = rng.choice((3, 3, 3, 6, 16))
 
     def call(self) -> Any:
+        """Make the call and return what the driver believes."""
         if self.what == 3:
             return tuple(self.line.read(self.unit, 0, 8))
         if self.what == 6:

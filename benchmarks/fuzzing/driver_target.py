@@ -23,6 +23,7 @@ class DriverTarget:
 
     name = ""
     has_checksum = True
+    is_numbered = False  # replies say which request they answer
 
     def __init__(self, time: VirtualTime) -> None:
         self.time = time
@@ -51,17 +52,20 @@ class DriverTarget:
             return Verdict.EARLIER
         if not self.has_checksum:
             return Verdict.ABSURD if self.is_absurd(value) else Verdict.UNPROTECTED
-        if self.is_said(value, self.port.copies):
+        if not self.is_numbered and self.is_said(value, self.port.copies):
             return Verdict.UNASKED
         return Verdict.VALID_OTHER if self.is_said(value, self.port.delivered) else Verdict.CORRUPT
 
     def connect(self, line: Line) -> None:
+        """Make the driver on its line."""
         raise NotImplementedError
 
     def prepare(self, rng: Random) -> None:
+        """Choose the call and what is true on the device."""
         raise NotImplementedError
 
     def call(self) -> Any:
+        """Make the call and return what the driver believes."""
         raise NotImplementedError
 
     def is_said(self, value: Any, sent: bytes) -> bool:

@@ -4,6 +4,7 @@ pieces that come late.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from random import Random
 
@@ -145,14 +146,11 @@ _DAMAGES = (
 
 
 def pieces(rng: Random, data: bytes) -> list[tuple[float, bytes]]:
-    """Return `data` as it arrives: (seconds after the piece before, bytes); sometimes late, often in parts."""
+    """Return `data` as it comes: (seconds after the piece before, bytes); often in parts, sometimes late."""
     draw = rng.random()
     first_s = 0.002 if draw < 0.8 else rng.uniform(0.0, 0.3) if draw < 0.9 else rng.uniform(0.3, 7.0)
     if rng.random() < 0.6 or len(data) < 2:
         return [(first_s, data)]
     cuts = sorted({int(rng.random() * len(data)) for _ in range(rng.randint(1, 4))} | {0, len(data)})
     gap_s = rng.choice((0.0, 0.001, 0.03))
-    return [
-        (first_s if start == 0 else gap_s, data[start:end])
-        for start, end in zip(cuts, cuts[1:], strict=False)
-    ]
+    return [(first_s if start == 0 else gap_s, data[start:end]) for start, end in itertools.pairwise(cuts)]

@@ -182,7 +182,7 @@ class _Drives(SimulatorTarget):
         )
 
     def complete(self, rng: Random, request: bytes) -> bytes:
-        """Frame a request for a unit, often one that is not here; then the frame is right, whatever is in it."""
+        """Frame a request for a unit, often one that is not here; the frame is right, whatever is in it."""
         if rng.random() < 0.3:
             request = mutate(rng, request, self.pdus)[:250] or b"\x03"
         return self.framed(rng, rng.choice((1, 2, 2, 3, 0, 247, 255)), request)

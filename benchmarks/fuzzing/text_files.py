@@ -107,12 +107,13 @@ class PlanFiles(_TomlTarget):
         return plan.n_positions, len(plan.wavelength_nm)
 
 
+_SESSION = "session of 2026-07-30T12:00:00.000+00:00"
 _LOG = (
-    "0.000143 stage = wire-log 1: zaber at socket://127.0.0.1:4001, session of 2026-07-30T12:00:00.000+00:00, "
-    "instrument clock x1\n"
-    "0.000811 stage > 2f3120312030332067657420706f730a  /1 1 03 get pos\\n\n"
-    "0.001190 stage < 4030312031203033204f4b2049444c45202d2d2032303030300d0a  @01 1 03 OK IDLE -- 20000\\r\\n\n"
-    "0.001500 lockin = wire-log 1: sr830, session of 2026-07-30T12:00:00.000+00:00\n"
+    f"0.000143 stage = wire-log 1: zaber at socket://127.0.0.1:4001, {_SESSION}, instrument clock x1\n"
+    "0.000811 stage > 2f3120310a  /1 1\\n\n"
+    "0.001190 stage < 403031203120303320  @01 1 03 \n"
+    "0.001195 stage < 4f4b0d0a  OK\\r\\n\n"
+    f"0.001500 lockin = wire-log 1: sr830, {_SESSION}\n"
     "0.002000 lockin > -  *IDN?\\r\n"
     "0.003000 lockin < 53540d  ST\\r\n"
     "0.004000 stage = gave up\n"

@@ -34,6 +34,7 @@ class ElliptecReplies(DriverTarget):
     has_checksum = False
 
     def connect(self, line: Line) -> None:
+        """Make the driver on its line."""
         self.pulses = 0
         self.what = "gp"
         self.rotator = ElliptecRotator(
@@ -41,10 +42,12 @@ class ElliptecReplies(DriverTarget):
         )
 
     def prepare(self, rng: Random) -> None:
+        """Choose the call and what is true on the device."""
         self.what = rng.choice(("gp", "s", "p"))
         self.pulses = rng.choice((0, PULSES // 4, -1, rng.randint(-PULSES, PULSES)))
 
     def call(self) -> Any:
+        """Make the call and return what the driver believes."""
         if self.what == "gp":
             return self.rotator.position_deg()
         return self.rotator.select("s" if self.what == "s" else "p")
@@ -88,6 +91,7 @@ class CS260Replies(DriverTarget):
     pipelined = False
 
     def connect(self, line: Line) -> None:
+        """Make the driver on its line."""
         self.state = {"GRAT": "1", "SHUTTER": "C", "OUTPORT": "1", "WAVE": "500.000"}
         self.what = ""
         self.wanted_nm = 500.0
@@ -99,10 +103,12 @@ class CS260Replies(DriverTarget):
         self.instrument = CS260(config, self.context, line)
 
     def prepare(self, rng: Random) -> None:
+        """Choose the call and what is true on the device."""
         self.what = rng.choice(("go", "go", "port", "shutter", "close"))
         self.wanted_nm = round(rng.uniform(200.0, 1600.0), 3)
 
     def call(self) -> Any:
+        """Make the call and return what the driver believes."""
         instrument = self.instrument
         if self.what == "go":
             return instrument.go_to(self.wanted_nm)
@@ -176,14 +182,17 @@ class SR830Replies(DriverTarget):
     has_checksum = False
 
     def connect(self, line: Line) -> None:
+        """Make the driver on its line."""
         self.settings = {"OFLT": "8", "OFSL": "0", "SENS": "26"}
         self.what = "read"
         self.instrument = SR830(SR830Config(driver="sr830"), self.context, line)
 
     def prepare(self, rng: Random) -> None:
+        """Choose the call and what is true on the device."""
         self.what = rng.choice(("read", "read", "range"))
 
     def call(self) -> Any:
+        """Make the call and return what the driver believes."""
         if self.what == "read":
             reading = self.instrument.read()
             return reading.x_v, reading.y_v, reading.overload
@@ -205,7 +214,7 @@ class SR830Replies(DriverTarget):
             elif statement == "LIAS?":
                 out += b"%d\r" % bits
             elif statement.endswith("?"):
-                out += self.settings[name].encode("ascii") + b"\r"
+                out += self.settings.get(name, "0").encode("ascii") + b"\r"
             else:
                 self.settings[name] = statement[5:]
         return out

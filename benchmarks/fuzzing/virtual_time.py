@@ -9,7 +9,7 @@ import contextlib
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from gonio.clock import Clock
 
@@ -62,7 +62,7 @@ class VirtualTime:
 class VirtualClock(Clock):
     """Instrument time that is virtual time."""
 
-    virtual: VirtualTime = VirtualTime()
+    virtual: VirtualTime = field(default_factory=VirtualTime)
 
     def now_s(self) -> float:
         """Return virtual seconds."""
