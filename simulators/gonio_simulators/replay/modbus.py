@@ -13,8 +13,13 @@ from gonio_simulators.wire.modbus_frames import MbapReceiver, RtuReceiver, mbap_
 _READS = frozenset((1, 2, 3, 4, 7, 11, 12, 17, 20, 24, 43))  # function codes that change nothing
 
 
+_LOOPBACK = bytes((8, 0, 0))  # diagnostics: the unit returns the data, which a client may count up
+
+
 def _request(raw: bytes, unit: int, pdu: bytes, number: int | None = None) -> Request:
     broadcast = unit == 0
+    if pdu.startswith(_LOOPBACK):
+        return Request(raw, str(unit), f"unit {unit}: loopback", False, not broadcast, number)
     return Request(
         raw, str(unit), f"unit {unit}: {pdu.hex(' ')}", pdu[0] not in _READS, not broadcast, number
     )
@@ -53,8 +58,8 @@ class ModbusRtu:
     def reworded(
         self, chunks: Sequence[Chunk], recorded: Request, asked: Request, numbers: Mapping[int, int]
     ) -> tuple[Chunk, ...]:
-        """Return the reply as it is: equal requests are equal bytes."""
-        return tuple(chunks)
+        """Return the reply as it is, but for the data of a loopback."""
+        return edited(chunks, _echo_edits(joined(chunks), recorded, asked, start=0))
 
 
 class ModbusTcp(ModbusRtu):
@@ -78,7 +83,16 @@ class ModbusTcp(ModbusRtu):
             shift = (asked.number or 0) - (recorded.number or 0)
             edits.append((at, at + 2, struct.pack(">H", numbers.get(number, number + shift) & 0xFFFF)))
             at += 6 + length
-        return edited(chunks, edits)
+        return edited(chunks, edits + _echo_edits(data, recorded, asked, start=7))
+
+
+def _echo_edits(
+    data: bytes, recorded: Request, asked: Request, *, start: int
+) -> list[tuple[int, int, bytes]]:
+    """Return the edit that makes a loopback return the client's data; other equal requests are equal bytes."""
+    was, now = recorded.raw[start:], asked.raw[start:]
+    at = data.find(was)
+    return [] if was == now or len(was) != len(now) or at < 0 else [(at, at + len(was), now)]
 
 
 class _Writes:

@@ -114,6 +114,17 @@ def test_modbus_rtu_reads_are_queries_and_writes_commands(played):
     assert player.ask("stage", rtu_frame(1, GO)) is None
 
 
+@pytest.mark.parametrize("protocol", ["modbus-rtu", "modbus-tcp"])
+def test_modbus_loopbacks_return_the_clients_data(played, protocol):
+    def frame(data: int) -> bytes:
+        pdu = bytes((8, 0, 0)) + data.to_bytes(2, "big")
+        return rtu_frame(1, pdu) if protocol == "modbus-rtu" else mbap_frame(data, 1, pdu)
+
+    player = played(modbus(protocol, frame(1), frame(1)))
+    for data in (1, 7, 2):
+        assert player.ask("stage", frame(data)) == frame(data)
+
+
 def test_elliptec_commands_are_told_apart_by_their_length(played):
     player = played(
         r"""
