@@ -20,6 +20,8 @@ from gonio.rig import default_rig_text
 from gonio_simulators.bench.bench import Bench
 from gonio_simulators.bench.config import BenchConfig
 from gonio_simulators.ending import stop_when_told
+from gonio_simulators.faults import FaultLog, fault_table, parse_fault
+from gonio_simulators.faults.injector import Injector
 from gonio_simulators.wire.lines import PtyPort, new_event_loop
 from gonio_simulators.wire.serve import Served, plan_ports, serve
 
@@ -27,6 +29,9 @@ from gonio_simulators.wire.serve import Served, plan_ports, serve
 def main(argv: list[str] | None = None) -> int:
     """Run `gonio simulate` and return its exit code."""
     options = _parser().parse_args(argv)
+    if options.list_faults:
+        print(fault_table())
+        return 0
     try:
         tables, source = _tables(options)
         config = BenchConfig.from_tables(tables, source=source)
@@ -34,9 +39,15 @@ def main(argv: list[str] | None = None) -> int:
         if options.pty and not PtyPort.is_available():
             raise ConfigError("--pty: this system has no pseudo-terminals; use the TCP addresses")
         bench = Bench.from_config(config)
-        ports = plan_ports(bench, tables, with_pty=options.pty, source=source)
-        with asyncio.Runner(loop_factory=new_event_loop) as runner:
-            runner.run(_serve(ports, options))
+        injector = _injector(bench, source)
+        ports = plan_ports(bench, tables, with_pty=options.pty, source=source, injector=injector)
+        try:
+            with asyncio.Runner(loop_factory=new_event_loop) as runner:
+                runner.run(_serve(ports, options, injector))
+        finally:
+            if injector is not None:
+                injector.log.close()
+                print(injector.log.summary(), file=sys.stderr)
     except GonioError as error:
         print(error, file=sys.stderr)
         return 1
@@ -71,6 +82,15 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--sphere", type=Path, metavar="FILE.csv", help="write the integrating sphere's spectrum"
     )
+    parser.add_argument(
+        "--fault",
+        action="append",
+        default=[],
+        metavar="NAME[@TARGET]:WHEN[:KEY=VALUE...]",
+        help="inject a fault, such as late-reply:0.01 or stall@theta_mes:nth=3; repeatable",
+    )
+    parser.add_argument("--fault-log", type=Path, metavar="FILE", help="append a line per injected fault")
+    parser.add_argument("--list-faults", action="store_true", help="print the faults there are, and end")
     parser.add_argument("--until-stdin-closes", action="store_true", help="stop at the end of standard input")
     return parser
 
@@ -103,7 +123,24 @@ def _tables(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
             simulation["clock_speed"] = options.clock_speed
         if options.seed is not None:
             simulation["seed"] = options.seed
+        if options.fault:
+            simulation["faults"] = [*simulation.get("faults", []), *options.fault]
+        if options.fault_log is not None:
+            simulation["fault_log"] = str(options.fault_log)
     return tables, source
+
+
+def _injector(bench: Bench, source: str) -> Injector | None:
+    """Return what injects the faults that are asked for, None for none."""
+    simulation = bench.config.simulation
+    if not simulation.faults:
+        return None
+    try:
+        specs = [parse_fault(text) for text in simulation.faults]
+        log = FaultLog(Path(simulation.fault_log) if simulation.fault_log is not None else None)
+        return Injector(specs, bench, log)
+    except ConfigError as error:
+        raise ConfigError(f"{source}: {error}") from None
 
 
 def _write_spectra(config: BenchConfig, options: argparse.Namespace) -> None:
@@ -122,10 +159,12 @@ def _write_spectra(config: BenchConfig, options: argparse.Namespace) -> None:
         ) from None
 
 
-async def _serve(ports: list[Served], options: argparse.Namespace) -> None:
+async def _serve(ports: list[Served], options: argparse.Namespace, injector: Injector | None) -> None:
     loop = asyncio.get_running_loop()
     stop = asyncio.Event()
     stop_when_told(loop, stop, until_stdin_closes=options.until_stdin_closes, seconds=options.seconds)
+    if injector is not None:
+        injector.start()
     await serve(ports, stop, announce=_announce)
 
 

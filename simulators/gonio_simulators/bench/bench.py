@@ -112,6 +112,11 @@ class Bench:
         """Names of the detectors, in the order of the rig file."""
         return tuple(detector.name for detector in self._detectors.values())
 
+    @property
+    def selected_detector(self) -> str:
+        """The detector that has the light."""
+        return self._detectors[self.monochromator.output_port].name
+
     def disturb_light(self) -> LightDisturbance:
         """Return the disturbance of lamp and detectors, with the past integrated up to now."""
         self._catch_up()

@@ -104,8 +104,7 @@ class Monochromator:
         self.before_command = before_command
         self.interfere: Callable[[str], Stuck | None] | None = None
         """Asked before each change of "wavelength", "grating", "filter" or "shutter" whether it sticks."""
-        self.error_code = -1
-        """What went wrong in the last command, in the controller's code; -1 for nothing."""
+        self._error_code = -1
         self._believes = Notice()
         grating, low = next((n, r[0]) for n, r in self.gratings.items())
         self._power_on = self._now = LightPath(
@@ -204,9 +203,14 @@ class Monochromator:
     def power_cycle(self) -> None:
         """Switch off and on: the shutter falls shut, everything goes to where it is at power-on."""
         self.abort()
-        self._believes, self.error_code = Notice(), -1
+        self._believes, self._error_code = Notice(), -1
         self._now = self._now._replace(shutter_open=False)
         self._change(POWER_ON_S, self._power_on, dark=True)
+
+    def take_error(self) -> int:
+        """Return what went wrong since the last look, in the controller's code; -1 for nothing."""
+        code, self._error_code = self._error_code, -1
+        return code
 
     def is_busy(self) -> bool:
         """Say whether something still moves."""
@@ -281,7 +285,7 @@ class Monochromator:
         if self.interfere is None:
             return None
         stuck = self.interfere(what) if changes else None
-        self.error_code = -1 if stuck is None or stuck.silent else stuck.error_code
+        self._error_code = -1 if stuck is None or stuck.silent else stuck.error_code
         return stuck
 
     def _change(self, duration_s: float, after: LightPath, *, dark: bool) -> None:

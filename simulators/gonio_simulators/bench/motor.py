@@ -227,6 +227,17 @@ class Motor:
         """Say whether a hand turns the motor."""
         return self.is_moving() and self._manual
 
+    @property
+    def in_hands(self) -> bool:
+        """Whether a hand turns or has disturbed the axis; until `clear_fault`."""
+        self._settle(self.clock.now_s())
+        return self._manual or self.interrupted_by_hand or self.displaced
+
+    @property
+    def count_origin_steps(self) -> int:
+        """Steps from the home switch to where the counter says 0; 0 once homed, but for lost steps."""
+        return round(self._count_origin)
+
     def is_released(self) -> bool:
         """Say whether a fault keeps the driver from driving."""
         return self.fault in RELEASED

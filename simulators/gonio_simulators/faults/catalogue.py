@@ -274,9 +274,9 @@ PLACES_TEXT: Mapping[Place, str] = {
 def fault_table() -> str:
     """Return the table that ``gonio simulate --list-faults`` prints."""
     lines = [
-        "NAME[@TARGET]:WHEN[:KEY=VALUE...]; WHEN is a probability per opportunity, nth=K, every=K, at=T "
+        "NAME[@TARGET]:WHEN[:KEY=VALUE...]",
+        "WHEN: probability per opportunity, nth=K, every=K, at=T (bench seconds) or rate=R (per bench hour)",
     ]
-    lines[0] += "(bench seconds) or rate=R (per bench hour)"
     for kind in CATALOGUE.values():
         lines += [
             "",

@@ -48,6 +48,7 @@ class FaultLog:
 
     def __init__(self, path: Path | None = None, now: Callable[[], datetime] | None = None) -> None:
         self.counts: Counter[str] = Counter()
+        """How often each fault has struck; a name that is asked for counts from 0."""
         self._now = now or (lambda: datetime.now(UTC))
         self._file: TextIO | None = None
         if path is not None:

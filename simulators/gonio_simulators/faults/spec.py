@@ -16,6 +16,8 @@ from gonio_simulators.faults.catalogue import CATALOGUE, Key, Kind, Value
 
 Mode = Literal["probability", "nth", "every", "at", "rate"]
 
+COUNTS, TIMES = ("nth", "every"), ("at", "rate")
+
 _FORM = "write NAME[@TARGET]:WHEN[:KEY=VALUE...], for example late-reply:0.01 or stall@theta_mes:nth=3"
 _WHEN = "WHEN is a probability 0...1, nth=K, every=K, at=T (bench seconds) or rate=R (per bench hour)"
 
@@ -84,18 +86,18 @@ def _when(text: str, field: str) -> When:
         if not 0 <= number <= 1:
             raise ConfigError(f"fault '{text}': the probability {field} is outside 0...1; {_WHEN}")
         return When("probability", number)
-    if name == "nth" or name == "every":
+    if name in COUNTS:
         if not (value.isascii() and value.isdigit() and int(value) >= 1):
             raise ConfigError(
                 f"fault '{text}': {name} = {value} is not a whole number from 1 on; {name}=3 counts "
                 "opportunities"
             )
-        return When(name, float(value))
-    if name == "at" or name == "rate":
+        return When("nth" if name == "nth" else "every", float(value))
+    if name in TIMES:
         number = _number(text, name, value)
         if number < 0:
             raise ConfigError(f"fault '{text}': {name} = {value} is below 0; {_WHEN}")
-        return When(name, number)
+        return When("at" if name == "at" else "rate", number)
     raise ConfigError(f"fault '{text}': '{field}' does not say when; {_WHEN}")
 
 

@@ -38,6 +38,11 @@ class AppliedMotionLine:
         """Begin a conversation with a new client."""
         return RtuConversation(self) if self._framing == "rtu" else MbapConversation(self)
 
+    def power_cycle(self, *, memory_lost: bool = False) -> None:
+        """Switch the drives off and on; what the host wrote was never saved."""
+        for drive in self._drives.values():
+            drive.power_cycle()
+
     def answer(self, unit: int, pdu: bytes) -> bytes | None:
         """Return the reply of a unit, or None for the silence of other ids and of a broadcast."""
         if unit == 0:

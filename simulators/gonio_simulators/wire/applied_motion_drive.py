@@ -10,7 +10,7 @@ from __future__ import annotations
 import struct
 from typing import Literal
 
-from gonio_simulators.bench.motor import Fault, Motor
+from gonio_simulators.bench.motor import RELEASED, Fault, Motor
 
 WordOrder = Literal["big", "little"]
 
@@ -35,7 +35,10 @@ _ALARM_OF = {
     Fault.STALL: 1 << 0,  # position error
     Fault.LOW_LIMIT: 1 << 1,  # counter-clockwise: falling counts
     Fault.HIGH_LIMIT: 1 << 2,
+    Fault.OVER_TEMPERATURE: 1 << 3,
+    Fault.ENCODER: 1 << 0,  # counts that are lost make a position error
 }
+_DRIVE_FAULTS = RELEASED | {Fault.STALL}  # these release the motor
 _ALARM_DISABLED = 1 << 12
 
 
@@ -76,6 +79,7 @@ class Drive:
         self._registers[VELOCITY] = min(
             max(round(motor.speed_steps_s / steps_per_rev * SPEED_UNIT), 1), 32000
         )
+        self._power_on = tuple(self._registers)
         self._opcodes = {
             0x66: self._feed_length,  # FL
             0x67: self._feed_position,  # FP
@@ -88,6 +92,14 @@ class Drive:
             0x9E: self._disable,  # MD
             0xA5: self._set_position,  # SP
         }
+
+    def power_cycle(self) -> None:
+        """Switch off and on: counter at 0, profile and registers as saved in the drive."""
+        self.motor.power_cycle()
+        self._offset, self._origin = 0, self.motor.count_origin_steps
+        self._enabled, self._moved_while_disabled, self._stopping = True, False, False
+        self._registers[:] = self._power_on
+        self._take_over_profile()
 
     def answer(self, pdu: bytes) -> bytes:
         """Carry out a request and return the reply, both without address and checksum."""
@@ -166,6 +178,8 @@ class Drive:
 
     def _seek_home(self) -> None:
         if self._may_move():
+            self._keep_counting()
+            self._origin = self.motor.count_origin_steps
             self.motor.home()
 
     def _may_move(self) -> bool:
@@ -177,7 +191,7 @@ class Drive:
         return True
 
     def _is_enabled(self) -> bool:
-        if self.motor.fault is Fault.STALL:  # a position error is a drive fault and releases the motor
+        if self.motor.fault in _DRIVE_FAULTS:
             self._enabled = False
         return self._enabled
 
@@ -191,7 +205,7 @@ class Drive:
         self._moved_while_disabled = False
 
     def _enable(self) -> None:
-        if self.motor.fault is not Fault.STALL:
+        if self.motor.fault not in _DRIVE_FAULTS:
             self._enabled = True
 
     def _disable(self) -> None:
@@ -228,16 +242,17 @@ class Drive:
         registers[ALARM] = alarm
         registers[STATUS] = (
             enabled
-            | (fault is Fault.STALL) << 2
+            | (fault in _DRIVE_FAULTS) << 2
             | (enabled and not moving and fault is Fault.NONE) << 3  # in position
             | moving << 4
+            | motor.is_manual() << 5  # the jog input is the knob of these drives
             | self._stopping << 6
             | (alarm != 0) << 9
             | motor.is_homing() << 10
         )
         self._keep_counting()
         position = motor.position_steps() - self._offset
-        self._put_s32(ENCODER, position)
+        self._put_s32(ENCODER, motor.encoder_steps() - self._offset)
         self._put_s32(POSITION, position)
         speed = round(motor.speed_now_steps_s() / self._steps_per_rev * SPEED_UNIT)
         registers[SPEED_NOW] = registers[SPEED_WANTED] = speed & 0xFFFF

@@ -20,6 +20,10 @@ class Cornerstone260:
     def __init__(self, bench: Bench) -> None:
         self._controller = Controller(bench)
 
+    def power_cycle(self, *, memory_lost: bool = False) -> None:
+        """Switch off and on; labels and calibration are in a memory that needs no battery."""
+        self._controller.power_cycle()
+
     def open(self) -> CornerstoneConversation:
         """Begin a conversation with a new client."""
         return CornerstoneConversation(self._controller)

@@ -80,6 +80,11 @@ class Controller:
         """Whether the status byte tells of an error."""
         return self._status != 0
 
+    def power_cycle(self) -> None:
+        """Switch off and on: everything goes to its place at power-on, and no error is known."""
+        self.monochromator.power_cycle()
+        self.handshake, self._error, self._status, self._unit = False, 0, 0, "NM"
+
     def carry_out(self, statement: str) -> str:
         """Carry out one statement and return the response, empty for a command or an error."""
         try:
@@ -89,6 +94,8 @@ class Controller:
             if parameter == "?":
                 return self._query(name)
             self._command(name, parameter.strip())
+            if (code := self.monochromator.take_error()) >= 0:
+                raise StatementError(code)
         except StatementError as error:
             self._error = error.code
             self._status = 0x20

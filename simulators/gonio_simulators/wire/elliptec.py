@@ -33,6 +33,10 @@ class Elliptec:
         """The module's digit on the bus."""
         return self._module.address
 
+    def power_cycle(self, *, memory_lost: bool = False) -> None:
+        """Switch the module off and on; what ``us`` saved needs no battery."""
+        self._module.power_cycle()
+
     def open(self) -> ElliptecConversation:
         """Begin a conversation with a new client."""
         return ElliptecConversation(self._module, self._now)

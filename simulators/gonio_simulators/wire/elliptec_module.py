@@ -25,6 +25,8 @@ DATA_LENGTH: Mapping[str, int] = {
 }
 
 OK, MECHANICAL_TIMEOUT, NOT_SUPPORTED, BAD_VALUE, BUSY, OUT_OF_RANGE = 0x00, 0x02, 0x03, 0x04, 0x09, 0x0C
+THERMAL_ERROR, SENSOR_ERROR = 0x08, 0x0A
+_STATUS_OF = {Fault.OVER_TEMPERATURE: THERMAL_ERROR, Fault.ENCODER: SENSOR_ERROR}  # others: time-out
 
 # Type 0E (ELL14), serial number, year, firmware, thread and hardware issue, travel 0x168 = 360 deg, pulses
 INFORMATION = f"0E{11400051}{2022}17010168{PULSES_PER_REVOLUTION:08X}"
@@ -57,6 +59,20 @@ class Module:
         self._task_until_s = 0.0
         self._ends_with: Callable[[], bytes | None] | None = None  # what an answer is owed to
         self._turns_endlessly = False
+        self._saved = self._settings()
+
+    def _settings(self) -> tuple[str, int, int, int, dict[str, int]]:
+        return self.address, self._jog, self._home_offset, self._velocity_percent, dict(self._periods)
+
+    def power_cycle(self) -> None:
+        """Switch off and on: the position is unknown, settings are those that ``us`` saved last."""
+        self._motor.power_cycle()
+        self.address, self._jog, self._home_offset, self._velocity_percent, periods = self._saved
+        self._periods = dict(periods)
+        self._motor.speed_steps_s = self._full_speed_steps_s * self._velocity_percent / 100.0
+        self.group_address, self._ends_with = None, None
+        self._status, self._zero, self._turns_endlessly = OK, 0, False
+        self._isolated_until_s = self._task_until_s = 0.0
 
     def hears(self, address: str, command: str) -> bool:
         """Say whether a command is for this module; isolated, it only hears the end of its isolation."""
@@ -129,9 +145,9 @@ class Module:
 
     def _arrived(self) -> bytes:
         self.group_address = None
-        if self._motor.fault is not Fault.NONE:
+        if (fault := self._motor.fault) is not Fault.NONE:
             self._motor.clear_fault()
-            return self._result(MECHANICAL_TIMEOUT)
+            return self._result(_STATUS_OF.get(fault, MECHANICAL_TIMEOUT))
         return self._position()
 
     def _stop(self) -> bytes | None:
@@ -190,7 +206,9 @@ class Module:
         elif command in self._periods:
             period = value & 0x0FFF
             self._periods[command] = FACTORY_PERIODS[command] if period == RESTORE_PERIOD else period
-        # us (save), sk (skip the search at power on) and st (at rest) change nothing here
+        elif command == "us":
+            self._saved = self._settings()
+        # sk (skip the search at power on) and st (at rest) change nothing here
         return self._result(OK)
 
     def _result(self, status: int) -> bytes:

@@ -109,6 +109,7 @@ class _Pump:
         self._transmit = transmit
         self._filter = filter_
         self._timer: asyncio.TimerHandle | None = None
+        self._closed = False
         self._loop = asyncio.get_running_loop()
         self._appoint()  # some devices speak first
 
@@ -119,11 +120,22 @@ class _Pump:
             self._filter.received(data, self._deliver)
 
     def close(self) -> None:
+        self._cancel()
+        self._closed = True
+
+    def restart(self, conversation: Conversation) -> None:
+        """Begin anew: what was half received or is owed is forgotten, as by an instrument that restarts."""
+        self._cancel()
+        self._conversation = conversation
+
+    def _cancel(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
 
     def _deliver(self, data: bytes) -> None:
+        if self._closed:  # a fault held the bytes back until the client had gone
+            return
         self._clock.hold()
         try:
             reply = self._conversation.feed(data)
@@ -138,10 +150,14 @@ class _Pump:
         if self._filter is None:
             self._transmit(data)
         else:
-            self._filter.sending(data, self._transmit)
+            self._filter.sending(data, self._transmit_if_open)
+
+    def _transmit_if_open(self, data: bytes) -> None:
+        if not self._closed:
+            self._transmit(data)
 
     def _appoint(self) -> None:
-        self.close()
+        self._cancel()
         wait_s = self._conversation.wait_s
         if wait_s is not None:
             self._timer = self._loop.call_later(wait_s, self._due)
@@ -191,8 +207,14 @@ class _TcpClient(asyncio.BufferedProtocol):
         self._port.left_by(self)
 
     def hang_up(self) -> None:
+        if self._pump is not None:
+            self._pump.close()
         if self._transport is not None:
             self._transport.abort()
+
+    def restart(self) -> None:
+        if self._pump is not None:
+            self._pump.restart(self._port.instrument.open())
 
 
 class TcpPort:
@@ -209,14 +231,16 @@ class TcpPort:
         self.clock = clock
         self.filter = filter_
         self._wanted_port = port
+        self._port = port
         self._server: asyncio.Server | None = None
+        self._closed = False
         self._client: _TcpClient | None = None
 
     @property
     def address(self) -> str:
         """The address in the form that drivers take, once started."""
         assert self._server is not None
-        return f"socket://{HOST}:{self._server.sockets[0].getsockname()[1]}"
+        return f"socket://{HOST}:{self._port}"
 
     async def start(self) -> None:
         """Listen; `ConfigError` if the port is taken or not allowed."""
@@ -229,9 +253,11 @@ class TcpPort:
                 f"port {self._wanted_port} on {HOST} cannot be served: {reason}; end the program that uses "
                 'it, or write address = "simulated" for any free port'
             ) from None
+        self._port = self._server.sockets[0].getsockname()[1]
 
     def close(self) -> None:
         """Stop listening and hang up."""
+        self._closed = True
         if self._server is not None:
             self._server.close()
         self.hang_up()
@@ -240,6 +266,22 @@ class TcpPort:
         """Break the connection to the present client, if there is one."""
         if self._client is not None:
             self._client.hang_up()
+
+    def refuse(self, duration_s: float) -> None:
+        """Let nobody connect for real seconds; the port stays the same."""
+        if self._server is not None:
+            self._server.close()
+        asyncio.get_running_loop().call_later(duration_s, self._listen_again)
+
+    def _listen_again(self) -> None:
+        if not self._closed:
+            self._wanted_port = self._port
+            self._starting = asyncio.ensure_future(self.start())
+
+    def restart(self) -> None:
+        """Forget what the client has half said and is owed."""
+        if self._client is not None:
+            self._client.restart()
 
     def taken_over_by(self, client: _TcpClient) -> None:
         """Hang up on the former client."""
@@ -303,6 +345,30 @@ class PtyPort:
         os.close(self._master)
         os.close(self._slave)
         self._master = self._slave = -1
+
+    def restart(self) -> None:
+        """Forget what was half said and is owed."""
+        if self._pump is not None:
+            self._pump.restart(self.instrument.open())
+
+    def hang_up(self) -> None:
+        """Lose what is under way, as when the cable is pulled; the terminal itself cannot go away."""
+        self._unsent = b""
+        self.restart()
+
+    def refuse(self, duration_s: float) -> None:
+        """Take no bytes for real seconds: the cable is out, and what a client sends is lost."""
+        loop = asyncio.get_running_loop()
+        loop.remove_reader(self._master)
+        loop.call_later(duration_s, self._plugged_in_again)
+
+    def _plugged_in_again(self) -> None:
+        if self._master < 0:
+            return
+        with contextlib.suppress(BlockingIOError):
+            while os.read(self._master, 65536):
+                continue
+        asyncio.get_running_loop().add_reader(self._master, self._readable)
 
     def _readable(self) -> None:
         with contextlib.suppress(BlockingIOError):

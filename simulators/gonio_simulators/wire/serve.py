@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Protocol
 from urllib.parse import urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from gonio.config import Positive, validate
 from gonio.errors import ConfigError
 from gonio_simulators.bench.bench import Bench
+from gonio_simulators.faults.injector import Injector, PowerCycled
 from gonio_simulators.wire.applied_motion import AppliedMotionLine, Framing
 from gonio_simulators.wire.applied_motion_drive import WordOrder
 from gonio_simulators.wire.cs260 import Cornerstone260
@@ -22,6 +23,10 @@ from gonio_simulators.wire.sr830 import Sr830
 from gonio_simulators.wire.zaber import ZaberChain
 
 LOOPBACK = {"127.0.0.1", "localhost"}
+
+
+class BenchInstrument(Instrument, PowerCycled, Protocol):
+    """An instrument of the bench."""
 
 
 class _Table(BaseModel):
@@ -78,8 +83,15 @@ class Served:
         return f"{self.role} {self.protocol} {self.port.address}"
 
 
-def plan_ports(bench: Bench, tables: Mapping[str, Any], *, with_pty: bool, source: str) -> list[Served]:
-    """Return the ports to be started for the rig file's raw tables.
+def plan_ports(
+    bench: Bench,
+    tables: Mapping[str, Any],
+    *,
+    with_pty: bool,
+    source: str,
+    injector: Injector | None = None,
+) -> list[Served]:
+    """Return the ports to be started for the rig file's raw tables, with the faults of `injector` in them.
 
     Raises
     ------
@@ -88,7 +100,7 @@ def plan_ports(bench: Bench, tables: Mapping[str, Any], *, with_pty: bool, sourc
     """
     rig = validate(RigPorts, tables, source=source)
     spectrometer = rig.spectrometer
-    wanted: list[tuple[Any, str, Instrument, str]] = [
+    wanted: list[tuple[Any, str, BenchInstrument, str]] = [
         ("stage", *_stage(bench, rig.stage, source), rig.stage.address),
         (
             "polarizer",
@@ -118,10 +130,15 @@ def plan_ports(bench: Bench, tables: Mapping[str, Any], *, with_pty: bool, sourc
     ]
     served: list[Served] = []
     for role, protocol, instrument, address in wanted:
-        port = wanted_port(address, source=source)
-        served.append(Served(role, protocol, TcpPort(instrument, bench.clock, port=port)))
+        number = wanted_port(address, source=source)
+        ports: list[TcpPort | PtyPort] = [TcpPort(instrument, bench.clock, port=number)]
         if with_pty and protocol != "modbus-tcp":
-            served.append(Served(role, protocol, PtyPort(instrument, bench.clock)))
+            ports.append(PtyPort(instrument, bench.clock))
+        for port in ports:
+            filter_ = injector.filter_for(role, protocol, instrument) if injector is not None else None
+            if filter_ is not None:
+                filter_.port, port.filter = port, filter_
+            served.append(Served(role, protocol, port))
     return served
 
 
@@ -167,7 +184,7 @@ async def serve(
         await asyncio.sleep(0)  # one turn of the loop, in which the transports let go of their sockets
 
 
-def _stage(bench: Bench, table: _StageTable, source: str) -> tuple[str, Instrument]:
+def _stage(bench: Bench, table: _StageTable, source: str) -> tuple[str, BenchInstrument]:
     if table.theta_i.device == table.theta_mes.device:
         raise ConfigError(
             f"{source}: stage.theta_i.device and stage.theta_mes.device are both {table.theta_i.device}; "
@@ -175,7 +192,7 @@ def _stage(bench: Bench, table: _StageTable, source: str) -> tuple[str, Instrume
         )
     numbers = {"theta_i": table.theta_i.device, "theta_mes": table.theta_mes.device}
 
-    def applied_motion() -> Instrument:
+    def applied_motion() -> BenchInstrument:
         return AppliedMotionLine(
             bench,
             **numbers,
@@ -184,7 +201,7 @@ def _stage(bench: Bench, table: _StageTable, source: str) -> tuple[str, Instrume
             word_order=table.word_order,
         )
 
-    makers: dict[str, Callable[[], Instrument]] = {
+    makers: dict[str, Callable[[], BenchInstrument]] = {
         "zaber": lambda: ZaberChain(bench, **numbers),
         "applied-motion": applied_motion,
         "modbus-registers": applied_motion,  # a register map is tried out on the drives there are
@@ -194,8 +211,8 @@ def _stage(bench: Bench, table: _StageTable, source: str) -> tuple[str, Instrume
 
 
 def _instrument(
-    makers: Mapping[str, Callable[[], Instrument]], driver: str, where: str
-) -> tuple[str, Instrument]:
+    makers: Mapping[str, Callable[[], BenchInstrument]], driver: str, where: str
+) -> tuple[str, BenchInstrument]:
     if driver not in makers:
         raise ConfigError(
             f"{where}.driver = '{driver}' has no simulator; simulated here: {', '.join(makers)}; "

@@ -137,6 +137,16 @@ class Sr830:
             "TRCL": lambda q, p: lia_points(self._points(q, p)),
         }
 
+    def power_cycle(self, *, memory_lost: bool = False) -> None:
+        """Switch off and on: settings are kept while the battery lasts; points and averages are not."""
+        self._lockin.power_cycle()
+        self._buffer.reset()
+        self._busy_until_s = -math.inf
+        if memory_lost:
+            self._set_defaults()
+        self._outputs.forget()
+        self._status.switch_on(clears_enables=self._values["*PSC"] == 1)
+
     def open(self) -> LockinConversation:
         """Begin a conversation with a new client."""
         return LockinConversation(self)

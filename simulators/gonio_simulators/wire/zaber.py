@@ -23,6 +23,11 @@ class ZaberChain:
         """Begin a conversation with a new client."""
         return ZaberConversation(self)
 
+    def power_cycle(self, *, memory_lost: bool = False) -> None:
+        """Switch the chain off and on; its settings are in memories that need no battery."""
+        for stage in self.stages:
+            stage.power_cycle()
+
     def answer(self, line: bytes) -> bytes:
         """Return the replies of every device that a line concerns."""
         request = parse_request(line)

@@ -97,6 +97,12 @@ class RotaryStage:
             self.address, 1, busy=False, flag=self._top_flag(), with_checksum=self._always_checksum
         )
 
+    def power_cycle(self) -> None:
+        """Switch off and on: the reference and the warnings are lost, settings are kept in the device."""
+        self.motor.power_cycle()
+        self._offset = 0
+        self._interrupted = self._had_reference = self._was_moving = False
+
     def has_to_announce(self) -> bool:
         """Say whether an alert may become due without a further command."""
         return self.announces and self._was_moving
@@ -182,6 +188,8 @@ class RotaryStage:
     def _begin_movement(self) -> None:
         self._interrupted = self.motor.is_moving()
         self.motor.clear_fault()  # a new movement acknowledges how the last one ended
+        if self.motor.is_released():
+            raise Rejected("DRIVERDISABLED")
 
     def _stop(self, words: Sequence[str], axis: int) -> str:
         if words:
@@ -224,13 +232,21 @@ class RotaryStage:
         """Warning flags, the gravest first (the manual's order of precedence)."""
         flags = []
         fault = self.motor.fault
-        if fault is Fault.STALL:
+        if fault is Fault.OVER_TEMPERATURE:
+            flags.append("FD")
+        elif fault is Fault.ENCODER:
+            flags.append("FQ")
+        elif fault is Fault.STALL:
             flags.append("FS")
         elif fault is not Fault.NONE:
             flags.append("FE")
+        if self.motor.displaced:
+            flags.append("WM")
         if not self._has_reference():
             flags.append("WR")
-        if self._interrupted:
+        if self.motor.is_manual():
+            flags.append("NC")
+        if self._interrupted or self.motor.interrupted_by_hand:
             flags.append("NI")
         return flags
 
@@ -239,7 +255,7 @@ class RotaryStage:
 
     def _top_flag(self) -> str:
         motor = self.motor
-        if motor.fault is Fault.NONE and motor.referenced and not self._interrupted:
+        if motor.fault is Fault.NONE and motor.referenced and not (self._interrupted or motor.in_hands):
             return "--"
         flags = self._flags()
         return flags[0] if flags else "--"
@@ -277,7 +293,7 @@ class RotaryStage:
         lowest = -(2**31)
         settings = {
             "pos": position,
-            "encoder.pos": _Setting(self._position),
+            "encoder.pos": _Setting(lambda: motor.encoder_steps() - self._offset),
             "vel": _Setting(lambda: round(motor.speed_now_steps_s() * SPEED_UNIT)),
             "limit.min": _Setting(lambda: self._limit_min, write_limit("_limit_min"), lowest),
             "limit.max": _Setting(lambda: self._limit_max, write_limit("_limit_max"), lowest),
