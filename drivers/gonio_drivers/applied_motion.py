@@ -7,6 +7,7 @@ Products, Host Command Reference, appendix on Modbus/RTU.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from typing import Annotated, Self
 
@@ -32,7 +33,18 @@ SET_POSITION = 0xA5  # SP
 RESET_ALARM = 0xBA  # AX
 ENABLE = 0x9F  # ME
 
-ENABLED, FAULT, MOVING, JOGGING, STOPPING, ALARMED, HOMING = (1 << bit for bit in (0, 2, 4, 5, 6, 9, 10))
+ENABLED, FAULT, IN_POSITION, ALARMED = (1 << bit for bit in (0, 2, 3, 9))
+MOVING, JOGGING, STOPPING, SAVING, HOMING, CHECKING_ENCODER, INITIALIZING = (
+    1 << bit for bit in (4, 5, 6, 8, 10, 13, 15)
+)
+BUSY = MOVING | JOGGING | STOPPING | SAVING | HOMING | CHECKING_ENCODER | INITIALIZING
+
+IN_POSITION_S = 0.5
+"""Real seconds that a servo may take to be in position after its profile has ended; only for drives that have
+said so before, and for those with an encoder."""
+
+ROUNDING = 0.01  # by which a drive may round a speed
+TURNS_AT_MOST = 2.0  # of the axis beyond its limits; a count farther away has its words the wrong way round
 
 MARK = 0x5AA5
 """Written to a register that no command here uses: a drive that was switched off has forgotten it."""
@@ -54,8 +66,20 @@ _ALARMS: Mapping[int, tuple[str, str]] = {
         "check limits_deg and zero_deg in the rig file, then home the axis",
     ),
     3: ("the drive is too hot", "let it cool"),
+    4: ("its internal voltage is out of range", "switch it off and on; if it stays, it needs service"),
+    5: ("the supply voltage is too high", "check the power supply, lower acceleration_deg_s2"),
+    6: ("the supply voltage is too low", "check the power supply"),
+    7: ("the current is too high", "check the motor and its cable"),
+    8: ("a motor winding is open", "check the motor's cable"),
+    9: ("the encoder's signal is bad", "check the encoder's cable, then home the axis"),
+    11: ("its memory is bad", "restore its settings with the manufacturer's software"),
+    13: ("the motor's resistance is out of range", "check the motor and its cable"),
     12: ("it was told to move while the motor was disabled", "enable the motor and repeat"),
 }
+
+
+_NOTES = 1 << 10 | 1 << 14
+"""Alarm bits that say nothing of the motion: a damaged request, an empty segment of a Q program."""
 
 
 class AppliedMotionAxisConfig(MotorConfig):
@@ -103,6 +127,9 @@ class AppliedMotionDrive:
             else config.encoder_counts_per_rev / config.steps_per_rev
         )
         self.device = f"{name} (Applied Motion unit {config.device}) on the {line.line.device}"
+        self._farthest_steps = _farthest_steps(config)
+        self._has_in_position = False
+        self._profile_ended_s: float | None = None
         self._referenced = referenced
         revs_per_deg = abs(config.steps_per_deg) / config.steps_per_rev
         acceleration = self._units(
@@ -122,13 +149,32 @@ class AppliedMotionDrive:
         """Ask for alarm, status and position in one read."""
         registers = self._line.read(self._unit, ALARM, 8)
         alarm, status = registers[ALARM], registers[STATUS]
-        if self._counts_per_step is None:
-            position_steps = self._line.s32(registers[POSITION : POSITION + 2])
-        else:
+        position_steps = self._line.s32(registers[POSITION : POSITION + 2])
+        swapped_steps = self._line.s32(registers[POSITION : POSITION + 2][::-1])
+        words_swapped = abs(swapped_steps) <= self._farthest_steps < abs(position_steps)
+        if self._counts_per_step is not None:
             position_steps = round(self._line.s32(registers[ENCODER : ENCODER + 2]) / self._counts_per_step)
-        moving = bool(status & (MOVING | JOGGING | STOPPING | HOMING))
+        moving = bool(status & BUSY) or self._is_arriving(status)
         fault, remedy = _fault(alarm, status)
+        if fault is None and words_swapped:
+            fault = f"its position reads {position_steps} steps, and {swapped_steps} in the other word order"
+            remedy = (
+                "correct word_order in the rig file (big for PR=5, little for PR=133), then home the axis"
+            )
         return DriveState(position_steps, moving, self._referenced, fault, remedy)
+
+    def _is_arriving(self, status: int) -> bool:
+        """Say whether the profile has just ended and the shaft may still settle."""
+        if status & IN_POSITION:
+            self._has_in_position = True
+        waits = self._has_in_position or self._counts_per_step is not None
+        if status & (BUSY | IN_POSITION) or not status & ENABLED or not waits:
+            self._profile_ended_s = None
+            return False
+        now_s = time.monotonic()
+        if self._profile_ended_s is None:
+            self._profile_ended_s = now_s
+        return now_s - self._profile_ended_s < IN_POSITION_S
 
     def clear_faults(self) -> None:
         """Reset the alarm and enable the motor; what persists comes back with the next poll."""
@@ -163,7 +209,7 @@ class AppliedMotionDrive:
         if self._marks:
             forgotten = self._line.read(self._unit, PARAMETER_5, 1) != [MARK]
         else:
-            forgotten = self._line.read(self._unit, ACCELERATION, 3) != self._profile
+            forgotten = self._line.read(self._unit, ACCELERATION, 3) != self._profile_kept
         return "it was switched off and on, and has lost its reference" if forgotten else None
 
     def stop(self) -> None:
@@ -173,12 +219,13 @@ class AppliedMotionDrive:
     def _set_speeds(self) -> None:
         self._line.write(self._unit, ACCELERATION, self._profile)
         got = self._line.read(self._unit, ACCELERATION, 3)
-        if got != self._profile:
+        if any(abs(g - p) > max(1.0, ROUNDING * p) for g, p in zip(got, self._profile, strict=True)):
             raise DeviceError(
                 self.device,
                 f"was told acceleration, deceleration, velocity = {self._profile} and reads {got}",
                 "correct speed_deg_s and acceleration_deg_s2 in the rig file",
             )
+        self._profile_kept = got
 
     def _keeps_mark(self) -> bool:
         """Leave the mark; False for a drive whose parameter registers do not keep what is written."""
@@ -201,8 +248,16 @@ class AppliedMotionDrive:
         return units
 
 
+def _farthest_steps(config: AppliedMotionAxisConfig) -> float:
+    """Return the largest count, either way, that the axis can have: wherever the search for home begins."""
+    ends = (abs(limit_deg - config.zero_deg) for limit_deg in config.limits_deg)
+    return (max(ends) + TURNS_AT_MOST * 360.0) * abs(config.steps_per_deg)
+
+
 def _fault(alarm: int, status: int) -> tuple[str | None, str]:
     """Return the alarm in words, and what to do."""
+    if alarm and not alarm & ~_NOTES:
+        alarm, status = 0, status & ~ALARMED
     known = [words for bit, words in _ALARMS.items() if alarm & (1 << bit)]
     unknown = [bit for bit in range(16) if alarm & (1 << bit) and bit not in _ALARMS]
     if known or unknown:

@@ -30,7 +30,7 @@ from pymodbus.transport import CommParams, CommType
 
 from gonio.errors import DeviceError
 from gonio.rig import Context
-from gonio_drivers.lines import Line, open_line
+from gonio_drivers.lines import Line, NoReply, open_line
 
 Framing = Literal["rtu", "tcp"]
 WordOrder = Literal["big", "little"]
@@ -59,8 +59,26 @@ _EXCEPTIONS = {
     2: ("does not have this register", "check the model and firmware of the drive"),
     3: ("refused the value", "check speeds and scale factors in the rig file"),
     4: ("failed to execute the command", "read the drive's alarm and reset it"),
-    6: ("is busy", "wait and repeat"),
+    5: ("needs long for the command that it has accepted", "wait, read its state, then go on"),
+    6: ("stays busy", "stop its own program (Q program), then repeat"),
+    0x14: ("stays busy", "stop its own program (Q program), then repeat"),  # Applied Motion's code for it
 }
+_ILLEGAL_FUNCTION = 1
+_BUSY = {6, 0x14}  # refused and nothing done: to be sent again later
+_BUSY_LOOK_S = 0.05
+_WRITE_TIMEOUT_S = 2.0  # at least: some drives confirm a write when they have carried it out
+_WRITES = {5, 6, 15, 16}
+_CONFIRMED_BY_ECHO = {5, 6, 8}  # the confirmation has the bytes of the request
+
+
+class ModbusRefused(DeviceError):
+    """The unit answered with a Modbus exception."""
+
+    def __init__(self, device: str, code: int) -> None:
+        fault, remedy = _EXCEPTIONS.get(code, ("answered with an unknown Modbus exception", "see its manual"))
+        super().__init__(device, f"{fault} (Modbus exception {code})", remedy)
+        self.code = code
+
 
 # pymodbus logs every timeout as an error, which would land on the terminal beside our own message
 logging.getLogger("pymodbus.logging").addHandler(logging.NullHandler())
@@ -78,17 +96,61 @@ class _LineClient(ModbusBaseSyncClient):
         )
         super().__init__(framer, 0, parameters, None, None, None)
         self._line = line
+        self._has_crc = framing == "rtu"
+        self._request = b""
+        self._awaits_echo = False
+        self._echoes = False  # an RS-485 adapter that hears what it sends; known from the first request on
 
     def connect(self) -> bool:
         return True
 
     def send(self, request: bytes, addr: tuple[str, int] | None = None) -> int:
         self._line.send(request)
+        self._request = request
+        self._awaits_echo = self._has_crc
         return len(request)
 
     def recv(self, size: int | None) -> bytes:
-        left_s = self._line.deadline_s() - time.monotonic()
+        data = self._receive()
+        if self._awaits_echo and data:
+            self._awaits_echo = False
+            data = self._without_echo(data)
+        return data
+
+    @property
+    def unit(self) -> int:
+        """The unit that was asked last."""
+        return self._request[0 if self._has_crc else 6]
+
+    @property
+    def timeout_s(self) -> float:
+        """Real seconds for the reply to the last request."""
+        function = self._request[1 if self._has_crc else 7]
+        least_s = _WRITE_TIMEOUT_S if function in _WRITES else 0.0
+        return max(self._line.reply_timeout_s, least_s)
+
+    def _receive(self) -> bytes:
+        left_s = self._line.deadline_s(self.timeout_s) - time.monotonic()
         return self._line.receive(left_s) if left_s > 0 else b""
+
+    def _without_echo(self, data: bytes) -> bytes:
+        """Take away the request itself, which a two-wire adapter may hear before the reply.
+
+        A reply that only confirms has the same bytes; there the echo counts only if there have been echoes
+        before, or a silent drive would seem to confirm every command.
+        """
+        request = self._request
+        if request[1] in _CONFIRMED_BY_ECHO and not self._echoes:
+            return data
+        while len(data) < len(request) and request.startswith(data):
+            more = self._receive()
+            if not more:
+                return data
+            data += more
+        if not data.startswith(request):
+            return data
+        self._echoes = True
+        return data[len(request) :] or self._receive()
 
     def close(self) -> None:
         self._line.close()
@@ -105,6 +167,7 @@ class ModbusLine:
         self._word_order = word_order
         self._frame_gap_s = frame_gap_s
         self._last_s = 0.0
+        self._one_by_one: set[int] = set()  # units without function 16
         self._canaries: dict[int, Canary | None] = {}
         self._loopbacks = itertools.count(1)
         self._failed_proofs = 0  # since the last that succeeded
@@ -157,7 +220,7 @@ class ModbusLine:
         return values
 
     def write(self, unit: int, address: int, values: Sequence[int]) -> None:
-        """Write several registers (function 16), once.
+        """Write several registers, once: function 16, or function 6 for each where the unit lacks that.
 
         Raises
         ------
@@ -166,6 +229,18 @@ class ModbusLine:
         DeviceError
             The unit answered with a Modbus exception.
         """
+        if unit not in self._one_by_one:
+            try:
+                self._write_together(unit, address, values)
+                return
+            except ModbusRefused as refused:
+                if refused.code != _ILLEGAL_FUNCTION:
+                    raise
+                self._one_by_one.add(unit)
+        for i, value in enumerate(values):
+            self.write_one(unit, address + i, value)
+
+    def _write_together(self, unit: int, address: int, values: Sequence[int]) -> None:
         with self.line.transaction(lambda: self._prove(unit)):
             reply = self._asked(lambda: self._client.write_registers(address, list(values), device_id=unit))
             if (reply.function_code, reply.address, reply.count) != (16, address, len(values)):
@@ -215,6 +290,17 @@ class ModbusLine:
         self.line.close()
 
     def _asked(self, ask: Callable[[], ModbusPDU]) -> ModbusPDU:
+        """Return the reply; a unit that is busy is asked again for as long as a reply may take."""
+        end_s = time.monotonic() + self.line.reply_timeout_s
+        while True:
+            try:
+                return self._asked_once(ask)
+            except ModbusRefused as refused:
+                if refused.code not in _BUSY or time.monotonic() > end_s:
+                    raise
+            time.sleep(_BUSY_LOOK_S)
+
+    def _asked_once(self, ask: Callable[[], ModbusPDU]) -> ModbusPDU:
         if self._frame_gap_s:  # RTU frames are told apart by 3.5 characters of silence
             time.sleep(max(0.0, self._last_s + self._frame_gap_s - time.monotonic()))
         try:
@@ -223,7 +309,9 @@ class ModbusLine:
             raise self.line.damaged(b"", str(error)) from None
         except ModbusIOException as error:
             if "No response" in str(error):
-                raise self.line.timed_out(self.line.reply_timeout_s) from None
+                silence = self.line.timed_out(self._client.timeout_s)
+                device = f"{self.line.device} unit {self._client.unit}"
+                raise NoReply(device, silence.fault, silence.remedy) from None
             raise self.line.damaged(b"", str(error)) from None
         except ModbusException as error:
             raise self.line.damaged(b"", str(error)) from None
@@ -231,14 +319,7 @@ class ModbusLine:
             self._last_s = time.monotonic()
         if isinstance(reply, ExceptionResponse):
             self.line.answered()
-            fault, remedy = _EXCEPTIONS.get(
-                reply.exception_code, ("answered with an unknown Modbus exception", "see its manual")
-            )
-            raise DeviceError(
-                f"{self.line.device} unit {reply.dev_id}",
-                f"{fault} (Modbus exception {reply.exception_code})",
-                remedy,
-            )
+            raise ModbusRefused(f"{self.line.device} unit {reply.dev_id}", reply.exception_code)
         return reply
 
     def _prove(self, unit: int) -> None:
