@@ -40,8 +40,8 @@ def main(argv: list[str] | None = None) -> int:
             raise ConfigError("--pty: this system has no pseudo-terminals; use the TCP addresses")
         bench = Bench.from_config(config)
         injector = _injector(bench, source)
-        ports = plan_ports(bench, tables, with_pty=options.pty, source=source, injector=injector)
         try:
+            ports = plan_ports(bench, tables, with_pty=options.pty, source=source, injector=injector)
             with asyncio.Runner(loop_factory=new_event_loop) as runner:
                 runner.run(_serve(ports, options, injector))
         finally:
