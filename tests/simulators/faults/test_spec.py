@@ -17,7 +17,6 @@ NAMES = {
     "filter-stuck", "grating-stuck", "shutter-stuck", "wavelength-stuck",
 }
 # fmt: on
-)
 
 
 def test_names_are_promises() -> None:
