@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from gonio.acquire.interrupted import resume_scan, stored_rig
+from gonio.acquire.policy import FaultPolicy
 from gonio.acquire.runner import Runner
 from gonio.acquire.state import Snapshot, State
 
-__all__ = ["Runner", "Snapshot", "State", "resume_scan", "stored_rig"]
+__all__ = ["FaultPolicy", "Runner", "Snapshot", "State", "resume_scan", "stored_rig"]

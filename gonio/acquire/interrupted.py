@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from gonio.acquire.journal import journal_path, read_header
+from gonio.acquire.policy import FaultPolicy
 from gonio.acquire.runner import OnSnapshot, Runner
 from gonio.acquire.session import OnRecord
 from gonio.errors import StoreError
@@ -14,7 +15,12 @@ from gonio.store.records import ScanHeader
 
 
 def resume_scan(
-    path: str | Path, rig: Rig, *, on_snapshot: OnSnapshot | None = None, on_record: OnRecord | None = None
+    path: str | Path,
+    rig: Rig,
+    *,
+    on_snapshot: OnSnapshot | None = None,
+    on_record: OnRecord | None = None,
+    policy: FaultPolicy | None = None,
 ) -> Runner:
     """Return a runner that goes on with an interrupted scan, however it was interrupted; call its `run`.
 
@@ -26,7 +32,9 @@ def resume_scan(
     path = Path(path)
     header = _interrupted(path)
     plan = parse_plan(header.plan_text, source=f"the plan in {journal_path(path).name}")
-    return Runner(rig, plan, path, on_snapshot=on_snapshot, on_record=on_record, continues=True)
+    return Runner(
+        rig, plan, path, on_snapshot=on_snapshot, on_record=on_record, continues=True, policy=policy
+    )
 
 
 def stored_rig(path: str | Path) -> RigConfig:

@@ -7,6 +7,7 @@ simulated bench what it takes to compute the light), this program, and how late 
 
 from __future__ import annotations
 
+import itertools
 import statistics
 import tempfile
 import time
@@ -28,6 +29,7 @@ _QUERIES = 40
 _PASSES = 3
 _LONGEST_S = 15.0  # real seconds for one pass, at most
 _RECORDS = 20
+_BESIDE_NM = 0.01
 
 
 def measured_latency(rig: Rig, plan: Plan, folder: Path) -> LatencyConfig:
@@ -65,10 +67,17 @@ def _spectrometer_s(rig: Rig, columns: Channels) -> tuple[float, float]:
     reading_s = config.pass_time(columns.wavelength_nm, columns.detector_index, 1).instrument_s
     most = max(2, int(_LONGEST_S * speed / max(reading_s / len(columns), 1e-9)))
     wavelength_nm, detector_index = columns.wavelength_nm[:most], columns.detector_index[:most]
+    ends_nm = np.maximum(wavelength_nm, np.array([d.range_nm[1] for d in config.detectors])[detector_index] - 1.0)
     after = (float(wavelength_nm[-1]), int(detector_index[-1]))
 
+    beside = itertools.count()
+
     def one_pass(averages: int) -> Callable[[], SpectrumReading]:
-        return lambda: spectrometer.measure_spectrum(wavelength_nm, detector_index, averages=averages)
+        # Each pass a little beside the one before: a simulated bench has to compute its light anew, as it must at
+        # every new position of a scan.
+        return lambda: spectrometer.measure_spectrum(
+            np.clip(wavelength_nm + _BESIDE_NM * next(beside), None, ends_nm), detector_index, averages=averages
+        )
 
     one_pass(1)()  # finds the amplifier's ranges, and where everything stands
     left: dict[int, float] = {}

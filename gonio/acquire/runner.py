@@ -1,13 +1,17 @@
 """The engine that runs a scan: the same for the command line, a script and a window.
 
-`Runner.run` works in the calling thread and knows neither Qt nor a terminal; `pause`, `resume` and `stop`
-may be called from any other.  What it does, in order:
+`Runner.run` works in the calling thread and knows neither Qt nor a terminal; `pause`, `resume`, `stop` and
+`stop_motion` may be called from any other.  What it does, in order:
 
 1. check everything: plan against rig, target file, disk space, an answer from each device; no file exists
 until then; 2. create the journal and the `.h5` (`gonio.acquire.session`); 3. starting references in the
-baseline position (dark once, direct beam per polarization); 4. the positions; each is recorded whole,
-with its angles read back, or not at all; 5. ending references, correction of all positions with them,
-removal of the journal.
+baseline position (dark once, direct beam per polarization); 4. the positions, with references between them as
+planned; each is recorded whole, with its angles read back, or not at all (`gonio.acquire.measuring`); the
+motion of the next begins before the record of the last is on the disk; 5. ending references, correction of
+all positions with them, removal of the journal.
+
+When a device fails, the step is measured anew after the rig has recovered, as often as the policy allows
+(`gonio.acquire.policy.FaultPolicy`); then the scan pauses, skips the position or ends.
 
 Times are seconds on the instrument clock since the scan began.  When a scan is resumed, the axis goes on
 after the last recorded time: on real hardware by the time that passed meanwhile, since lamp and amplifier
@@ -17,41 +21,36 @@ drift whether or not we measure; on a simulated bench, whose clock begins anew, 
 from __future__ import annotations
 
 import datetime
-import shutil
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 import gonio
-from gonio.acquire.session import OnRecord, Session, facts_of, refuse_existing
+from gonio.acquire.measuring import Measurer, rest
+from gonio.acquire.policy import FaultPolicy
+from gonio.acquire.preparing import Prepared, prepared
+from gonio.acquire.session import OnRecord, Session, facts_of
 from gonio.acquire.state import Snapshot, State
-from gonio.acquire.steps import Pace, PositionStep, ReferenceStep, Step, steps_of
-from gonio.aperture import Aperture
-from gonio.devices import Beam, Polarization, SpectrumReading
+from gonio.acquire.steps import Pace, PositionStep, ReferenceStep, Step
+from gonio.devices import Quality
 from gonio.errors import DeviceError, GonioError, RefusedError, ScanStopped, StoreError
-from gonio.plan.channels import Channels, channels
-from gonio.plan.check import check
 from gonio.plan.model import Plan
 from gonio.plan.optimise import resolved
 from gonio.rig import Rig
-from gonio.store.records import (
-    EventRecord,
-    Level,
-    PositionRecord,
-    ReferenceRecord,
-    ScanHeader,
-)
+from gonio.store.records import EventRecord, Level, PositionRecord, ReferenceRecord, ScanHeader
 
 _SNAPSHOT_INTERVAL_S = 0.05  # real seconds between snapshots of readings: 20 Hz is what an eye can follow
 _PAUSE_POLL_S = 0.02
-_BYTES_PER_READING = 300  # journal and .h5 together, and a rebuilt .h5 beside the old one
-_SHOWN_REFUSALS = 10
+_MOST_SKIPPED_IN_A_ROW = 3  # more are no fault of the positions
 
 OnSnapshot = Callable[[Snapshot], None]
+
+
+class _Interrupted(GonioError):
+    """The step was ended early for a pause at once; it is measured anew afterwards."""
 
 
 class Runner:
@@ -72,6 +71,8 @@ class Runner:
     on_record
         Called in the thread of `run` with every position, reference and event once it is on the disk; when
         a scan goes on, with those measured before first.  The same holds for its exceptions.
+    policy
+        What is done when a device fails.
     """
 
     def __init__(
@@ -83,11 +84,12 @@ class Runner:
         on_snapshot: OnSnapshot | None = None,
         on_record: OnRecord | None = None,
         continues: bool = False,
+        policy: FaultPolicy | None = None,
     ) -> None:
         self.path = Path(path)
         self.plan = resolved(plan, rig.config)
+        self.policy = policy or FaultPolicy()
         self._wavelength_nm = plan.wavelength_nm  # the rig's columns once they are known to be covered
-        self._channels: Channels | None = None
         self._n_positions = plan.n_positions
         self._rig = rig
         self._on_snapshot = on_snapshot
@@ -97,34 +99,48 @@ class Runner:
         self._active = False
         self._stop_requested = False
         self._pause_requested = False
+        self._pause_at_once = False
         self._session: Session | None = None
+        self._measurer: Measurer | None = None
         self._steps: list[Step] = []
         self._pace: Pace | None = None
-        self._offset_s = 0.0  # scan time minus the rig's clock
         self._step: Step | None = None
-        self._angles_deg: tuple[float, float] | None = None
         self._reading = 0
         self._done = 0
         self._steps_done = 0
-        self._selected: Polarization | None = None
-        self._polarizer_deg = float("nan")
+        self._skipped_in_a_row = 0
         self._message = ""
         self._published_s = 0.0
 
-    # -- asked from any thread
-    # ---------------------------------------------------------------------------------
+    # -- asked from any thread -------------------------------------------------------------------------------
 
     @property
     def state(self) -> State:
         """The present state."""
         return self._state
 
-    def pause(self) -> None:
-        """Pause when the position being measured is done; without effect if no scan runs."""
-        self._pause_requested = self._active
+    def pause(self, *, at_once: bool = False) -> None:
+        """Pause when the position being measured is done; `at_once` in the middle of it.
+
+        At once, motors stop and the position is measured anew after `resume`.  Without effect if no scan
+        runs.
+        """
+        if not self._active:
+            return
+        self._pause_requested = True
+        if at_once and self._state is not State.PAUSED:
+            self._pause_at_once = True
+            self._rig.stop()
+
+    def stop_motion(self) -> None:
+        """Stop every motor now, whatever runs; a scan pauses at once."""
+        if self._active:
+            self.pause(at_once=True)
+        else:
+            self._rig.stop()
 
     def resume(self) -> None:
-        """Go on after `pause`."""
+        """Go on after a pause, the operator's or that of a fault."""
         self._pause_requested = False
 
     def stop(self) -> None:
@@ -134,19 +150,22 @@ class Runner:
         """
         if self._active:
             self._stop_requested = True
-            self._state = State.STOPPING
+            self._state = State.ABORTING
         self._rig.stop()
 
     def snapshot(self) -> Snapshot:
         """Return where the scan stands now."""
         step, m = self._step, len(self._wavelength_nm)
         at = step.position if isinstance(step, PositionStep) else None
-        angles = self._angles_deg or (None, None)
+        angles = (self._measurer.angles_deg if self._measurer else None) or (None, None)
         polarization = (
             step.polarization if isinstance(step, ReferenceStep) else at.polarization if at else None
         )
         now_s = self._now_s() if self._active else (self._session.last_time_s if self._session else 0.0)
         left_s = self._pace.left_s(now_s, step, self._reading / m) if self._pace and self._active else 0.0
+        column = min(self._reading, m - 1)
+        if step is not None and step.descending:
+            column = m - 1 - column
         return Snapshot(
             state=self._state,
             done=self._done,
@@ -159,16 +178,11 @@ class Runner:
             theta_i_deg=angles[0],
             theta_mes_deg=angles[1],
             polarization=polarization if polarization in ("s", "p") else None,
-            wavelength_nm=self._wavelength_of(step, self._reading) if step else None,
+            wavelength_nm=float(self._wavelength_nm[column]) if step else None,
             message=self._message,
         )
 
-    def _wavelength_of(self, step: Step, reading: int) -> float:
-        at = min(reading, len(self._wavelength_nm) - 1)
-        return float(self._wavelength_nm[-1 - at if step.descending else at])
-
-    # -- the run
-    # -----------------------------------------------------------------------------------------------
+    # -- the run ---------------------------------------------------------------------------------------------
 
     def run(self) -> Path:
         """Measure everything that is not measured yet, and return the path of the finished file.
@@ -180,22 +194,23 @@ class Runner:
         StoreError
             The file cannot be made or written.
         DeviceError
-            A device failed; what was measured before is kept and the scan can be resumed.
+            A device failed more often than the policy allows; what was measured before is kept and the scan
+            can be resumed.
         ScanStopped
             `stop` was called.
         """
         if self._active or self._state is State.DONE:
             raise RuntimeError(f"the scan into {self.path} is {self._state.value} and cannot be run now")
-        self._active, self._stop_requested, self._pause_requested = True, False, False
+        self._active = True
+        self._stop_requested = self._pause_requested = self._pause_at_once = False
         try:
             self._set(State.PREPARING, "checking plan and devices")
-            devices = self._checked()
-            self._open_session(devices)
+            ready = prepared(self._rig, self.plan, self.path, continues=self._continues)
+            self._steps = ready.steps
+            self._wavelength_nm = ready.columns.wavelength_nm
+            self._open_session(ready)
             self._set(State.RUNNING, "")
-            for step in self._steps:
-                if step.key not in self._open.done:
-                    self._between_steps()
-                    self._measure(step)
+            self._perform_all()
             self._rig.spectrometer.close_shutter()
             self._step = None
             self._message = "correcting with all references"
@@ -212,41 +227,18 @@ class Runner:
                     self._session.close()
         return self.path
 
-    def _checked(self) -> dict[str, str]:
-        """Check all that can be checked before a file is made; return what the devices say they are."""
-        config = self._rig.config
-        refusals = check(self.plan, config)
-        if refusals:
-            shown = "\n".join(str(refusal) for refusal in refusals[:_SHOWN_REFUSALS])
-            more = (
-                f"\n... and {len(refusals) - _SHOWN_REFUSALS} more" if len(refusals) > _SHOWN_REFUSALS else ""
-            )
-            raise RefusedError(f"the plan '{self.plan.title}' cannot be measured:\n{shown}{more}")
-        Aperture(config.aperture.width_mm, config.aperture.height_mm, config.aperture.distance_mm)
-        if not self._continues:
-            refuse_existing(self.path)
-        self._channels = channels(self.plan, config)
-        self._wavelength_nm = self._channels.wavelength_nm
-        self._steps = steps_of(self.plan, config)
-        needed = len(self._steps) * len(self._wavelength_nm) * _BYTES_PER_READING + 1_000_000
-        free = shutil.disk_usage(self.path.absolute().parent).free
-        if free < needed:
-            raise StoreError(
-                f"{self.path}: the scan takes up to {needed / 1e6:.0f} MB and the disk has "
-                f"{free / 1e6:.0f} MB left; free some space or choose another disk"
-            )
-        rig = self._rig
-        answers = {"stage": rig.stage.identify(), "polarizer": rig.polarizer.identify()}
-        return answers | dict(rig.spectrometer.identify())
-
-    def _open_session(self, devices: dict[str, str]) -> None:
+    def _open_session(self, ready: Prepared) -> None:
+        columns = ready.columns
+        self._measurer = Measurer(
+            self._rig, self.plan, columns, check=self._raise_if_interrupted, on_reading=self._on_reading
+        )
         facts = facts_of(self._rig.config)
         clock = self._rig.clock
         if self._continues:
             self._session, note = Session.resume(self.path, facts, self._on_record)
             away_s = max(time.time() - self._session.last_unix_s, 0.0)
             gap_s = away_s if clock.speed == 1.0 else 0.0
-            self._offset_s = self._session.last_time_s + gap_s - clock.now_s()
+            self._measurer.offset_s = self._session.last_time_s + gap_s - clock.now_s()
             if note:
                 self._event("warning", note)
             self._event("info", f"resumed {away_s:.0f} s after the last record")
@@ -255,31 +247,115 @@ class Runner:
                 plan_text=self.plan.to_toml(),
                 rig_text=self._rig.config.text,
                 rig=facts,
-                detector_index=self._columns.detector_index,
-                devices=devices,
+                detector_index=columns.detector_index,
+                devices=ready.devices,
                 program=f"gonio {gonio.__version__}",
                 start_time=_now_iso(),
                 unix_s=time.time(),
-                wavelength_nm=self._columns.wavelength_nm,
+                wavelength_nm=columns.wavelength_nm,
             )
-            self._offset_s = -clock.now_s()
+            self._measurer.offset_s = -clock.now_s()
             self._session = Session.begin(self.path, header, self.plan, self._on_record)
         self._continues = True  # should this run end early, the next one goes on from here
         left = [step for step in self._steps if step.key not in self._session.done]
         self._steps_done = len(self._steps) - len(left)
         self._done = sum(isinstance(key, int) for key in self._session.done)
-        self._selected = None
         self._pace = Pace(left, self._now_s())
 
-    def _between_steps(self) -> None:
-        self._raise_if_stopped()
-        if not self._pause_requested:
-            return
-        self._rig.spectrometer.close_shutter()
+    def _perform_all(self) -> None:
+        left = [step for step in self._steps if step.key not in self._open.done]
+        for step, following in zip(left, [*left[1:], None], strict=True):
+            if self._pause_requested:
+                self._wait_for_resume("paused by the operator", "info")
+            self._raise_if_stopped()
+            record = self._perform(step)
+            if following is not None and not self._pause_requested and not self._stop_requested:
+                self._devices.begin(following)  # the motors run while the disk works
+            self._open.record(record)
+            self._done += isinstance(step, PositionStep)
+            self._steps_done += 1
+            self._step, self._reading = None, 0
+            if self._pace is not None:
+                self._pace.step_done(step)
+            self._publish()
+
+    def _perform(self, step: Step) -> PositionRecord | ReferenceRecord:
+        """Measure a step, anew after faults as the policy says."""
+        faults = failed = 0
+        while True:
+            self._step, self._reading = step, 0
+            self._message = _describe(step)
+            try:
+                record = self._devices.measure(step)
+            except (_Interrupted, DeviceError, RefusedError, ScanStopped) as error:
+                self._raise_if_stopped()
+                if self._pause_at_once:  # the stop of the motors may have become an error of its own
+                    self._wait_for_resume("paused at once by the operator", "info")
+                    continue
+                if not isinstance(error, DeviceError | RefusedError):
+                    raise
+                failed += 1
+                faults = self._after_fault(step, error, faults + 1)
+                if faults < 0:
+                    assert isinstance(step, PositionStep)
+                    return self._devices.skipped(step)
+            else:
+                if failed:
+                    record.quality[:] |= np.uint16(Quality.RETRIED)
+                    self._event("info", f"{_describe(step)}: measured after {_times(failed)}")
+                self._skipped_in_a_row = 0
+                return record
+
+    def _after_fault(self, step: Step, error: GonioError, faults: int) -> int:
+        """Bring the rig back after the `faults`-th fault in a row; return how many count from now on.
+
+        Negative: the step is to be skipped.  Raises `error`, or what recovery failed with, when the policy
+        allows no more.
+        """
+        policy = self.policy
+        while True:
+            troubles = self._devices.rest()
+            self._event("warning", "; ".join([f"{_describe(step)}: {error}", *troubles]), error)
+            skips = False
+            if isinstance(error, DeviceError) and faults <= policy.retries:
+                self._message = f"attempt {faults + 1} of {policy.retries + 1} follows: {error}"
+                self._wait(policy.wait_s(faults))
+            elif policy.then == "pause":
+                self._pause_requested = True
+                self._wait_for_resume(str(error), "error")
+                faults = 0
+            elif policy.then == "skip" and isinstance(step, PositionStep):
+                self._skipped_in_a_row += 1
+                if self._skipped_in_a_row > _MOST_SKIPPED_IN_A_ROW:
+                    raise error
+                skips = True
+            else:
+                raise error
+            try:
+                done = self._rig.recover()
+            except DeviceError as failure:
+                self._raise_if_stopped()
+                if skips:  # it is not the position that is at fault
+                    raise
+                error, faults = failure, faults + 1
+                continue
+            if done:
+                self._event("info", f"recovered: {'; '.join(done)}")
+            if skips:
+                self._event("warning", f"{_describe(step)}: skipped after {_times(faults)}")
+                return -1
+            return faults
+
+    # -- pauses and interruptions ----------------------------------------------------------------------------
+
+    def _wait_for_resume(self, reason: str, level: Level) -> None:
+        """Pause: motors at rest, shutter closed, until `resume` or `stop`."""
+        self._pause_at_once = False
+        troubles = self._devices.rest()
         began_s = self._now_s()
-        self._event("info", "paused by the operator, shutter closed")
-        self._step = None
-        self._set(State.PAUSED, "paused, shutter closed")
+        self._event(level, "; ".join([f"{reason}: motors at rest, shutter closed", *troubles]))
+        self._step, self._reading = None, 0
+        self._set(State.PAUSED, f"{reason}; motors at rest, shutter closed")
         while self._pause_requested and not self._stop_requested:
             time.sleep(_PAUSE_POLL_S)
         self._raise_if_stopped()
@@ -288,143 +364,37 @@ class Runner:
         self._event("info", "resumed by the operator")
         self._set(State.RUNNING, "")
 
-    def _measure(self, step: Step) -> None:
-        self._step, self._reading, self._angles_deg = step, 0, None
-        self._message = _describe(step)
-        if isinstance(step, PositionStep):
-            record: PositionRecord | ReferenceRecord = self._position(step)
-        else:
-            record = self._reference(step)
-        self._open.record(record)
-        self._done += isinstance(step, PositionStep)
-        self._steps_done += 1
-        self._step, self._reading = None, 0
-        if self._pace is not None:
-            self._pace.step_done(step)
+    def _wait(self, real_s: float) -> None:
+        """Let a device have its time, without keeping a stop waiting."""
         self._publish()
-
-    def _position(self, step: PositionStep) -> PositionRecord:
-        position = step.position
-        self._select(position.polarization)
-        theta_i, theta_mes = self._move(position.theta_i_deg, position.theta_mes_deg)
-        reading = self._read("sample", self._columns.averages_asked, descending=step.descending)
-        return PositionRecord(
-            index=position.index,
-            polarization=position.polarization,
-            theta_i_deg=theta_i,
-            theta_mes_deg=theta_mes,
-            polarizer_deg=self._polarizer_deg,
-            averages=reading.averages,
-            unix_s=time.time(),
-            wavelength_nm=reading.wavelength_nm,
-            signal_v=reading.signal_v,
-            signal_sd_v=reading.signal_sd_v,
-            time_s=reading.time_s + self._offset_s,
-            quality=reading.quality,
-        )
-
-    def _reference(self, step: ReferenceStep) -> ReferenceRecord:
-        if step.polarization != "any":
-            self._select(step.polarization)
-        baseline = self._rig.config.baseline
-        # a dark is taken there too: whatever light leaks past the shutter is then the same for both
-        theta_i, theta_mes = self._move(baseline.theta_i_deg, baseline.theta_mes_deg)
-        reading = self._read(
-            "dark" if step.kind == "dark" else "direct",
-            self.plan.references.averages_of(step.kind),
-            descending=step.descending,
-        )
-        return ReferenceRecord(
-            kind=step.kind,
-            when=step.when,
-            polarization=step.polarization,
-            theta_i_deg=theta_i,
-            theta_mes_deg=theta_mes,
-            averages=reading.averages,
-            unix_s=time.time(),
-            wavelength_nm=reading.wavelength_nm,
-            signal_v=reading.signal_v,
-            signal_sd_v=reading.signal_sd_v,
-            time_s=reading.time_s + self._offset_s,
-            quality=reading.quality,
-        )
-
-    # -- the devices
-    # -------------------------------------------------------------------------------------------
-
-    def _select(self, polarization: Polarization) -> None:
-        self._raise_if_stopped()
-        if polarization != self._selected:
-            self._selected = None
-            self._polarizer_deg = self._rig.polarizer.select(polarization)
-            self._selected = polarization
-
-    def _move(self, theta_i_deg: float, theta_mes_deg: float) -> tuple[float, float]:
-        self._raise_if_stopped()
-        angles = self._rig.move_to(theta_i_deg, theta_mes_deg)
-        self._angles_deg = angles
-        return angles
-
-    def _read(
-        self, beam: Beam, averages: int | NDArray[np.integer], *, descending: bool
-    ) -> SpectrumReading:
-        self._raise_if_stopped()
-        way = slice(None, None, -1) if descending else slice(None)
-        columns = self._columns
-        spectrometer = self._rig.spectrometer
-        reading = spectrometer.measure_spectrum(
-            columns.wavelength_nm[way],
-            columns.detector_index[way],
-            beam=beam,
-            averages=averages if isinstance(averages, int) else averages[way],
-            on_reading=self._on_reading,
-        )
-        self._raise_if_stopped()  # a driver may have ended its pass early because of the stop
-        m = len(self._wavelength_nm)
-        for name in ("wavelength_nm", "signal_v", "signal_sd_v", "time_s", "quality"):
-            shape = np.shape(getattr(reading, name))
-            if shape != (m,):
-                raise DeviceError(
-                    spectrometer.name,
-                    f"returned {name} of shape {shape} for {m} wavelengths",
-                    "this is a defect of its driver; report it",
-                )
-        if not descending:
-            return reading
-        return SpectrumReading(
-            wavelength_nm=reading.wavelength_nm[way],
-            signal_v=reading.signal_v[way],
-            signal_sd_v=reading.signal_sd_v[way],
-            averages=reading.averages if isinstance(reading.averages, int) else reading.averages[way],
-            time_s=reading.time_s[way],
-            quality=reading.quality[way],
-        )
-
-    @property
-    def _columns(self) -> Channels:
-        if self._channels is None:
-            raise RuntimeError("the plan has not been checked yet")
-        return self._channels
-
-    def _on_reading(self, index: int) -> None:
-        self._raise_if_stopped()
-        self._reading = index + 1
-        if time.monotonic() - self._published_s > _SNAPSHOT_INTERVAL_S:
-            self._publish()
-
-    # -- ends
-    # --------------------------------------------------------------------------------------------------
+        end_s = time.monotonic() + real_s
+        while time.monotonic() < end_s:
+            self._raise_if_stopped()
+            time.sleep(min(_PAUSE_POLL_S, real_s))
 
     def _raise_if_stopped(self) -> None:
         if self._stop_requested:
             raise ScanStopped("the scan was stopped")
 
+    def _raise_if_interrupted(self) -> None:
+        self._raise_if_stopped()
+        if self._pause_at_once:
+            raise _Interrupted("the step was ended early")
+
+    def _on_reading(self, index: int) -> None:
+        self._raise_if_interrupted()
+        self._reading = index + 1
+        if time.monotonic() - self._published_s > _SNAPSHOT_INTERVAL_S:
+            self._publish()
+
+    # -- ends ------------------------------------------------------------------------------------------------
+
     def _end_badly(self, error: BaseException) -> None:
         """Bring the devices to rest, keep what was measured, and let the error say how to go on."""
         interrupted = self._stop_requested or isinstance(error, KeyboardInterrupt)
         if interrupted:
-            self._state = State.STOPPING
-        troubles = self._rest()
+            self._state = State.ABORTING
+        troubles = rest(self._rig)
         began = self._session is not None
         go_on = (
             f"; everything measured is kept, continue with: gonio scan --resume {self.path}" if began else ""
@@ -447,24 +417,7 @@ class Runner:
         if isinstance(error, OSError):
             raise StoreError(f"{self.path}: {error}{go_on}") from error
 
-    def _rest(self) -> list[str]:
-        """Stop motion and close the shutter, whatever fails on the way; return what failed."""
-        troubles: list[str] = []
-        rig = self._rig
-        for action in (
-            rig.stage.stop,
-            rig.polarizer.stop,
-            rig.spectrometer.stop,
-            rig.spectrometer.close_shutter,
-        ):
-            try:
-                action()
-            except (GonioError, OSError) as error:
-                troubles.append(str(error))
-        return troubles
-
-    # -- small things
-    # ------------------------------------------------------------------------------------------
+    # -- small things ----------------------------------------------------------------------------------------
 
     @property
     def _open(self) -> Session:
@@ -472,11 +425,19 @@ class Runner:
             raise RuntimeError("no file is open")
         return self._session
 
-    def _now_s(self) -> float:
-        return self._rig.clock.now_s() + self._offset_s
+    @property
+    def _devices(self) -> Measurer:
+        if self._measurer is None:
+            raise RuntimeError("no file is open")
+        return self._measurer
 
-    def _event(self, level: Level, message: str) -> None:
-        self._open.record(EventRecord(self._now_s(), time.time(), level, "runner", message))
+    def _now_s(self) -> float:
+        offset_s = self._measurer.offset_s if self._measurer is not None else 0.0
+        return self._rig.clock.now_s() + offset_s
+
+    def _event(self, level: Level, message: str, error: GonioError | None = None) -> None:
+        source = error.device if isinstance(error, DeviceError) else "runner"
+        self._open.record(EventRecord(self._now_s(), time.time(), level, source, message))
 
     def _set(self, state: State, message: str) -> None:
         if not (self._stop_requested and self._active):  # `stop` has set the state, which stays until the end
@@ -490,13 +451,17 @@ class Runner:
             self._on_snapshot(self.snapshot())
 
 
+def _times(count: int) -> str:
+    return "a failed attempt" if count == 1 else f"{count} failed attempts"
+
+
 def _describe(step: Step) -> str:
     if isinstance(step, PositionStep):
         at = step.position
         return f"theta_i = {at.theta_i_deg:g} deg, theta_mes = {at.theta_mes_deg:g} deg, {at.polarization}"
     if step.kind == "dark":
-        return f"dark reading at the {step.when}"
-    return f"100 % baseline at the {step.when}, {step.polarization}"
+        return f"dark reading ({step.when})"
+    return f"100 % baseline ({step.when}), {step.polarization}"
 
 
 def _now_iso() -> str:

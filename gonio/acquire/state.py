@@ -15,22 +15,24 @@ class State(enum.Enum):
 
         idle --run()--> preparing --> running --> done
          ^                  |          |   ^
-         |                  |  pause() v   | resume()
+         |                  |  pause() |   | resume()
+         |                  |  a fault v   |
          |                  |        paused
          |                  v          |
-         +------------- stopping <-----+   (stop() or Ctrl-C, from preparing, running or paused)
+         +------------- aborting <-----+   (stop() or Ctrl-C, from preparing, running or paused)
 
         preparing, running, paused --any error--> failed
 
     A stopped runner is idle again, and `run()` then continues where it was stopped; so does `run()` of a
-    failed one.
+    failed one.  A fault leads to *paused* only if the policy says so; before that the step is tried again in
+    *running*.
     """
 
     IDLE = "idle"
     PREPARING = "preparing"
     RUNNING = "running"
     PAUSED = "paused"
-    STOPPING = "stopping"
+    ABORTING = "aborting"
     FAILED = "failed"
     DONE = "done"
 

@@ -214,7 +214,7 @@ class Model:
             self.phase = Phase.RUNNING
         elif snapshot.state is State.PAUSED:
             self.phase = Phase.PAUSED
-        elif snapshot.state is State.STOPPING:
+        elif snapshot.state is State.ABORTING:
             self.phase = Phase.STOPPING
 
     def _apply_connected(self, message: Connected) -> None:

@@ -149,6 +149,17 @@ class MemoryStage:
         self.theta_i.stop()
         self.theta_mes.stop()
 
+    def recover(self) -> str:
+        self.world.did("recover")
+        self.stop()
+        return "homed"
+
+    def verify_still(self, theta_i_deg: float, theta_mes_deg: float) -> tuple[float, float]:
+        for axis, expected_deg in ((self.theta_i, theta_i_deg), (self.theta_mes, theta_mes_deg)):
+            if axis.where_deg != expected_deg:
+                raise MotionError(axis.name, f"is at {axis.where_deg:g} deg, not {expected_deg:g}", "repeat")
+        return self.theta_i.where_deg, self.theta_mes.where_deg
+
     def close(self) -> None:
         self.world.log.append("stage.close")
 
