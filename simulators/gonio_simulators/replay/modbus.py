@@ -89,7 +89,7 @@ class ModbusTcp(ModbusRtu):
 def _echo_edits(
     data: bytes, recorded: Request, asked: Request, *, start: int
 ) -> list[tuple[int, int, bytes]]:
-    """Return the edit that makes a loopback return the client's data; other equal requests are equal bytes."""
+    """Return the edit that makes a loopback return the client's data; no other requests differ in bytes."""
     was, now = recorded.raw[start:], asked.raw[start:]
     at = data.find(was)
     return [] if was == now or len(was) != len(now) or at < 0 else [(at, at + len(was), now)]

@@ -92,6 +92,7 @@ class _Strand:
         self.at = 0
         self._places: dict[str, list[int]] = {}
         self._commands: list[int] = []
+        self._beside: dict[str, int] = {}  # skipped questions that were asked together with the last one
 
     def add(self, entry: Entry) -> None:
         index = len(self.entries)
@@ -110,6 +111,29 @@ class _Strand:
         end = self.next_command()
         while self.at < end and self.entries[self.at].number < number:
             self.at += 1
+            self._beside.clear()
+
+    def meet(self, index: int) -> Entry:
+        """Go on behind an entry and return it."""
+        entry = self.entries[index]
+        if index >= self.at:
+            if index == 0 or self.at == 0 or self.entries[self.at - 1].number != entry.number:
+                self._beside.clear()
+            for skipped in range(index - 1, self.at - 1, -1):
+                if self.entries[skipped].number != entry.number:
+                    break
+                self._beside[self.entries[skipped].request.what] = skipped
+            self.at = index + 1
+        else:
+            del self._beside[entry.request.what]
+        return entry
+
+    def beside(self, what: str) -> int | None:
+        """Index of such a question that was skipped in the exchange in which the cursor stands.
+
+        Questions on one line are asked at one instant, whatever their order.
+        """
+        return self._beside.get(what)
 
     def ahead(self, what: str) -> int | None:
         """Index of the next such request, however far."""
@@ -194,10 +218,11 @@ class LineTape:
 
     def _met(self, strand: _Strand, asked: Request) -> Entry:
         barrier = strand.next_command()
-        found = strand.ahead(asked.what)
+        found = strand.beside(asked.what)
+        if found is None:
+            found = strand.ahead(asked.what)
         if found is not None and found <= barrier:
-            entry = strand.entries[found]
-            strand.at = found + 1
+            entry = strand.meet(found)
             if entry.request.changes:
                 self._tape.number = max(self._tape.number, entry.number)
             return entry

@@ -183,6 +183,25 @@ def test_lock_in_statements_of_a_line_and_alone(played):
     assert player.ask("lockin", b"SENS?\n") == b"20\r"
 
 
+def test_lock_in_questions_of_one_line_are_of_one_instant(played):
+    """Asked in the other order, both answers still belong together."""
+    player = played(
+        r"""
+        lockin = wire-log 1: sr830
+        lockin > SNAP? 1,2;LIAS?\r
+        lockin < 1,1\r1\r
+        lockin > SNAP? 1,2;LIAS?\r
+        lockin < 2,2\r2\r
+        lockin > SNAP? 1,2;LIAS?\r
+        lockin < 3,3\r3\r
+        """
+    )
+    assert player.ask("lockin", b"LIAS?;SNAP? 1,2\r") == b"1\r1,1\r"
+    assert player.ask("lockin", b"SNAP? 1,2;LIAS?\r") == b"2,2\r2\r"
+    assert player.ask("lockin", b"LIAS?;SNAP? 1,2\r") == b"3\r3,3\r"
+    assert player.ask("lockin", b"LIAS?;SNAP? 1,2\r") == b"3\r3,3\r"
+
+
 def test_a_protocol_that_nobody_knows(played):
     player = played(
         "shutter = wire-log 1: raw\nshutter > \\x02OPEN\\x03\nshutter < \\x06\n"
