@@ -71,7 +71,7 @@ def _session(path: Path, clock: Clock) -> str:
     clock.
     """
     del path, clock
-    return datetime.now(UTC).isoformat(timespec="milliseconds")
+    return datetime.now(UTC).isoformat(timespec="microseconds")
 
 
 def _ends_within_a_line(path: Path) -> bool:
