@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from gonio_simulators.bench.bench import Bench
 from gonio_simulators.wire.zaber_message import Request, parse_request
-from gonio_simulators.wire.zaber_stage import PACKET_SIZE, RotaryStage
+from gonio_simulators.wire.zaber_settings import PACKET_SIZE
+from gonio_simulators.wire.zaber_stage import RotaryStage
 
 _ALERT_POLL_S = 1e-3  # real seconds between looks at a moving axis that must announce its end
 

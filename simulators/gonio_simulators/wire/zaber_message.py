@@ -4,13 +4,29 @@
     @AA X ID OK|RJ BUSY|IDLE FLAG data   reply
     !AA X BUSY|IDLE FLAG data            alert, sent unasked
 
-The checksum CC is the two's complement of the byte sum between the lead character and the colon.
+    #AA X [ID] data                     further information that belongs to a reply
+
+The checksum CC is the two's complement of the byte sum between the lead character and the colon.  A command
+with the ID ``--`` gets no reply.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+
+NO_REPLY = "--"
+"""The message id of a command that wants no reply."""
+
+_LONGEST_TEXT = 73
+"""Characters of a reply beside its lead, checksum and line end, which make a packet of 80."""
+
+BAD_ID = "bad"
+"""Stands for a message id above 99."""
+
+
+class Rejected(Exception):
+    """The command is answered ``RJ`` with this reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,7 +35,7 @@ class Request:
 
     address: int
     axis: int
-    message_id: str  # two digits, or empty
+    message_id: str  # two digits, empty, `NO_REPLY` or `BAD_ID`
     words: tuple[str, ...]
     has_checksum: bool
 
@@ -53,18 +69,24 @@ def parse_request(line: bytes) -> Request | None:
     words = text.split()
     head: list[str] = []
     for word in words[:3]:
-        if not word.isdigit():
+        if not word.isdigit() and not (len(head) == 2 and word == NO_REPLY):
             break
         head.append(word)
-    if any(len(word) > 2 for word in head):
-        return None
+    if any(len(word) > 2 for word in head[:2]):
+        return None  # no device has such an address
     return Request(
         address=int(head[0]) if head else 0,
         axis=int(head[1]) if len(head) > 1 else 0,
-        message_id=f"{int(head[2]):02d}" if len(head) > 2 else "",
+        message_id=_message_id(head[2]) if len(head) > 2 else "",
         words=tuple(words[len(head) :]),
         has_checksum=has_checksum,
     )
+
+
+def _message_id(word: str) -> str:
+    if word == NO_REPLY:
+        return word
+    return f"{int(word):02d}" if len(word.lstrip("0")) <= 2 else BAD_ID
 
 
 def format_reply(
@@ -81,12 +103,35 @@ def format_reply(
     """Return a reply line with its CRLF."""
     head = f"{address:02d} {axis} {message_id} " if message_id else f"{address:02d} {axis} "
     text = f"{head}{'OK' if accepted else 'RJ'} {'BUSY' if busy else 'IDLE'} {flag} {data}"
-    return _line("@", text, with_checksum)
+    if len(text) <= _LONGEST_TEXT:
+        return _line("@", text, with_checksum)
+    packets = _packets(text, f"{head}cont ")
+    return b"".join([_line("#" if i else "@", p, with_checksum) for i, p in enumerate(packets)])
+
+
+def _packets(text: str, head: str) -> list[str]:
+    """Cut a long reply between words; a packet ends with a backslash if another follows."""
+    packets: list[str] = []
+    packet = ""
+    for word in text.split(" "):
+        longer = f"{packet} {word}" if packet else word
+        if len(longer) < _LONGEST_TEXT:
+            packet = longer
+        else:
+            packets.append(packet + "\\")
+            packet = head + word
+    return [*packets, packet]
 
 
 def format_alert(address: int, axis: int, *, busy: bool, flag: str, with_checksum: bool) -> bytes:
     """Return the alert line that announces the end of a movement."""
     return _line("!", f"{address:02d} {axis} {'BUSY' if busy else 'IDLE'} {flag}", with_checksum)
+
+
+def format_info(address: int, axis: int, message_id: str, text: str, *, with_checksum: bool) -> bytes:
+    """Return a line of information behind a reply."""
+    head = f"{address:02d} {axis} {message_id} " if message_id else f"{address:02d} {axis} "
+    return _line("#", head + text, with_checksum)
 
 
 def _line(lead: str, text: str, with_checksum: bool) -> bytes:
