@@ -13,7 +13,7 @@ from pathlib import Path
 
 from gonio.clock import Clock
 from gonio.errors import ConfigError
-from gonio.wirelog import Direction, Opening, format_bytes, format_note
+from gonio.wirelog import BROKEN_OFF, Direction, Opening, format_bytes, format_note
 
 
 class WireLog:
@@ -34,7 +34,7 @@ class WireLog:
         self._role = role
         self._clock = clock
         if unfinished:  # a program was killed while it wrote: its last record must not swallow our first
-            self._append("\n")
+            self._append(BROKEN_OFF)
         self.note(Opening(protocol, address, _session(path, clock), clock.speed).text())
 
     def sent(self, data: bytes) -> None:

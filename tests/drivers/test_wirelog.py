@@ -63,12 +63,15 @@ def test_times_are_real_seconds(path):
     assert line.records[1].text == "two lines"
 
 
-def test_a_torn_end_does_not_swallow_the_next_session(path):
+@pytest.mark.parametrize(
+    "torn", ["1.000000 stage > 2f31", "1.000000 stage > 2f31  /1", "1.00", "1 stage = wire-log 1: zab"]
+)
+def test_a_torn_end_does_not_swallow_the_next_session(path, torn):
     (log,) = opened(path, Clock(), "stage")
     log.sent(b"whole")
     log.close()
     with path.open("ab") as file:
-        file.write(b"1.000000 stage > 2f31")  # killed here
+        file.write(torn.encode())  # killed here
     for log in opened(path, Clock(), "stage", "lockin"):
         log.close()
     log = read_log(path)
