@@ -25,6 +25,8 @@ from gonio_drivers.modbus_axis_map import (
 from gonio_drivers.modbus_axis_reads import plan_reads
 from gonio_drivers.modbus_axis_values import decode, encode, limits, width
 
+TURNS_AT_MOST = 2.0  # of the axis beyond its limits; a count farther away has its words the wrong way round
+
 
 def setting_value(register: SettingRegister, name: str, config: MotorConfig) -> tuple[str, float]:
     """Return the key of the rig file behind a setting, and what its register must hold."""
@@ -65,6 +67,9 @@ class RegisterDrive:
         self._referenced = referenced
         self.device = f"{name} (Modbus unit {unit}) on the {line.line.device}"
         self._reads = plan_reads(registers.status_spans(), registers.position.span, bridge=registers.bridge)
+        self._farthest_steps = abs(config.steps_per_deg) * (
+            max(abs(limit_deg - config.zero_deg) for limit_deg in config.limits_deg) + 360.0 * TURNS_AT_MOST
+        )
         self._settings = {
             setting: self._setting_words(setting, register, config)
             for setting, register in registers.settings().items()
@@ -105,6 +110,9 @@ class RegisterDrive:
                 "check type and word_order of position in the rig file",
             )
         fault, remedy = self._fault(content)
+        if fault is None and (swapped := self._swapped(content, value)) is not None:
+            fault = f"its position reads {value:g}, and {swapped:g} in the other word order"
+            remedy = "correct word_order in the rig file, then home the axis"
         moving = _any(self._map.moving, content)
         # A faulty drive need not be in position to be at rest.
         if self._map.in_position and fault is None:
@@ -224,6 +232,15 @@ class RegisterDrive:
     ) -> float:
         got = [content[register.function, register.address + i] for i in range(width(register.type))]
         return decode(got, register.type, self._word_order)
+
+    def _swapped(self, content: Mapping[tuple[int, int], int], value: float) -> float | None:
+        """Return the position in the other word order if only there it is one that the axis can have."""
+        register = self._map.position
+        if width(register.type) == 1 or abs(value / register.scale) <= self._farthest_steps:
+            return None
+        got = [content[register.function, register.address + i] for i in (1, 0)]
+        swapped = decode(got, register.type, self._word_order)
+        return swapped if abs(swapped / register.scale) <= self._farthest_steps else None
 
     def _fault(self, content: Mapping[tuple[int, int], int]) -> tuple[str | None, str]:
         """Return what is wrong in words and what to do: the alarm says most, being disabled least."""

@@ -7,7 +7,7 @@ the status is read before the position, so that an axis seen at rest was at rest
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from gonio_drivers.modbus import Canary, ReadFunction
 
@@ -76,4 +76,9 @@ def choose_canary(runs: Iterable[Span], parts: Iterable[Span], reads: Iterable[S
         for count in {part.end - run.address for part in parts if run.contains(part)}
         if (run.function, count) not in taken
     ]
-    return max(candidates, key=lambda canary: canary.count, default=None)
+    if not candidates:
+        return None
+    best = max(candidates, key=lambda canary: canary.count)
+    # A canary may be late itself: the next attempt then takes another length.
+    spare = {c.count for c in candidates if (c.function, c.address) == (best.function, best.address)}
+    return replace(best, spare=tuple(sorted(spare - {best.count}, reverse=True)))
