@@ -234,9 +234,9 @@ class Motor:
         return self._manual or self.interrupted_by_hand or self.displaced
 
     @property
-    def count_origin_steps(self) -> int:
-        """Steps from the home switch to where the counter says 0; 0 once homed, but for lost steps."""
-        return round(self._count_origin)
+    def origins_steps(self) -> tuple[int, int]:
+        """Steps from the home switch to where counter and encoder say 0; 0 once homed, but for lost steps."""
+        return round(self._count_origin), round(self._encoder_origin)
 
     def is_released(self) -> bool:
         """Say whether a fault keeps the driver from driving."""

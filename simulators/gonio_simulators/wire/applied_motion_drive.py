@@ -68,8 +68,8 @@ class Drive:
         self._steps_per_rev = steps_per_rev
         self._high_first = word_order == "big"
         self._offset = 0  # SP renames where the counter stands
-        hardware = motor.hardware
-        self._origin = round((hardware.power_on_deg - hardware.zero_deg) * hardware.steps_per_deg)
+        self._encoder_offset = 0
+        self._origins = motor.origins_steps
         self._enabled = True  # these drives energise the motor when power comes on
         self._moved_while_disabled = False
         self._stopping = False
@@ -96,7 +96,8 @@ class Drive:
     def power_cycle(self) -> None:
         """Switch off and on: counter at 0, profile and registers as saved in the drive."""
         self.motor.power_cycle()
-        self._offset, self._origin = 0, self.motor.count_origin_steps
+        self._offset = self._encoder_offset = 0
+        self._origins = self.motor.origins_steps
         self._enabled, self._moved_while_disabled, self._stopping = True, False, False
         self._registers[:] = self._power_on
         self._take_over_profile()
@@ -179,8 +180,8 @@ class Drive:
     def _seek_home(self) -> None:
         if self._may_move():
             self._keep_counting()
-            self._origin = self.motor.count_origin_steps
             self.motor.home()
+            self._origins = self.motor.origins_steps
 
     def _may_move(self) -> bool:
         """Say whether the drive is energised; a stalled motor must be reset first."""
@@ -218,12 +219,14 @@ class Drive:
     def _rename_position(self, position: int) -> None:
         self._keep_counting()
         self._offset = self.motor.position_steps() - position
+        self._encoder_offset = self.motor.encoder_steps() - position
 
     def _keep_counting(self) -> None:
         """Let the counter run on over a homing: these drives do not call the switch zero, SP does."""
-        if self._origin and not self.motor.is_moving() and self.motor.referenced:
-            self._offset += self._origin
-            self._origin = 0
+        if self._origins != (0, 0) and not self.motor.is_moving() and self.motor.referenced:
+            self._offset += self._origins[0]
+            self._encoder_offset += self._origins[1]
+            self._origins = (0, 0)
 
     # -- registers ----------------------------------------------------------------------------------------
 
@@ -252,7 +255,7 @@ class Drive:
         )
         self._keep_counting()
         position = motor.position_steps() - self._offset
-        self._put_s32(ENCODER, motor.encoder_steps() - self._offset)
+        self._put_s32(ENCODER, motor.encoder_steps() - self._encoder_offset)
         self._put_s32(POSITION, position)
         speed = round(motor.speed_now_steps_s() / self._steps_per_rev * SPEED_UNIT)
         registers[SPEED_NOW] = registers[SPEED_WANTED] = speed & 0xFFFF
