@@ -2,43 +2,48 @@
 
 from __future__ import annotations
 
-import signal
-import sys
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from types import FrameType
-from typing import Any
 
-from gonio.acquire import Runner, Snapshot, State, resume_scan, stored_rig
+from gonio.acquire import FaultPolicy, Runner, Snapshot, State, resume_scan, stored_rig
+from gonio.acquire.session import OnRecord
 from gonio.bench_process import served
-from gonio.cli.progress import progress_bar, readable_duration
+from gonio.cli.attended import run_attended
 from gonio.errors import RefusedError, StoreError
 from gonio.plan import Plan, check, load_plan
 from gonio.rig import RigConfig, load_rig, open_rig
 from gonio.store import load
+from gonio.store.records import EventRecord, PositionRecord, ReferenceRecord
 
 
-def scan(plan_file: Path, rig_file: Path | None, output: Path, *, wire_log: Path | None) -> int:
+def scan(
+    plan_file: Path,
+    rig_file: Path | None,
+    output: Path,
+    *,
+    wire_log: Path | None,
+    policy: FaultPolicy | None = None,
+) -> int:
     """Acquire a plan into a new file."""
     rig = load_rig(rig_file)
     plan = load_plan(plan_file)
     refuse_bad_plan(plan, rig)
     refuse_existing(output)
     with served(rig) as reachable:
-        acquire(plan, reachable, output, wire_log=wire_log)
+        acquire(plan, reachable, output, wire_log=wire_log, policy=policy)
     _say_complete(output)
     return 0
 
 
-def resume(path: Path, rig_file: Path | None, *, wire_log: Path | None) -> int:
+def resume(
+    path: Path, rig_file: Path | None, *, wire_log: Path | None, policy: FaultPolicy | None = None
+) -> int:
     """Continue an interrupted scan with the rig stored in it, or with another description of the same
     bench.
     """
     rig = load_rig(rig_file) if rig_file is not None else stored_rig(path)
     with served(rig) as reachable:
-        continue_scan(path, reachable, wire_log=wire_log)
+        continue_scan(path, reachable, wire_log=wire_log, policy=policy)
     _say_complete(path)
     return 0
 
@@ -73,63 +78,45 @@ def refuse_existing(path: Path) -> None:
         raise StoreError(f"{path}: the folder {path.parent} does not exist; make it first")
 
 
-def acquire(plan: Plan, rig: RigConfig, output: Path, *, wire_log: Path | None = None) -> None:
-    """Run a plan with a progress bar; Ctrl-C stops in order and leaves a file that can be resumed."""
-    with open_rig(rig, wire_log=wire_log) as connected, _watched(plan.title, rig) as on_snapshot:
-        runner = Runner(connected, plan, output, on_snapshot=on_snapshot)
-        with _stopped_by_signals(runner):
-            runner.run()
+def acquire(
+    plan: Plan,
+    rig: RigConfig,
+    output: Path,
+    *,
+    wire_log: Path | None = None,
+    policy: FaultPolicy | None = None,
+) -> None:
+    """Run a plan with a progress bar."""
+    with open_rig(rig, wire_log=wire_log) as connected:
+        run_attended(
+            plan.title,
+            connected,
+            lambda on_snapshot, on_record: Runner(
+                connected, plan, output, on_snapshot=on_snapshot, on_record=on_record, policy=policy
+            ),
+        )
 
 
-def continue_scan(path: Path, rig: RigConfig, *, wire_log: Path | None = None) -> None:
+def continue_scan(
+    path: Path, rig: RigConfig, *, wire_log: Path | None = None, policy: FaultPolicy | None = None
+) -> None:
     """Resume a scan with a progress bar."""
-    with open_rig(rig, wire_log=wire_log) as connected, _watched(path.name, rig) as on_snapshot:
-        runner = resume_scan(path, connected, on_snapshot=on_snapshot)
-        with _stopped_by_signals(runner):
-            runner.run()
+    with open_rig(rig, wire_log=wire_log) as connected:
+        known = True  # events of before are told again first, and are no news
 
+        def make(on_snapshot: Callable[[Snapshot], None], on_record: OnRecord) -> Runner:
+            def news(snapshot: Snapshot) -> None:
+                nonlocal known
+                known = snapshot.state is State.PREPARING
+                on_snapshot(snapshot)
 
-@contextmanager
-def _watched(title: str, rig: RigConfig) -> Iterator[Callable[[Snapshot], None]]:
-    speed = rig.clock_speed()  # the person waits in real seconds
-    with progress_bar(title, 1.0) as bar:
+            def tell(record: ReferenceRecord | PositionRecord | EventRecord) -> None:
+                if not known:
+                    on_record(record)
 
-        def show(snapshot: Snapshot) -> None:
-            if snapshot.state is State.RUNNING:
-                state = f"{readable_duration(snapshot.left_s / speed)} left"
-            else:
-                state = snapshot.state.value
-            done = snapshot.readings_done / max(snapshot.readings_total, 1)
-            bar.update(done, f"{snapshot.done}/{snapshot.total} positions, {state}")
+            return resume_scan(path, connected, on_snapshot=news, on_record=tell, policy=policy)
 
-        yield show
-
-
-@contextmanager
-def _stopped_by_signals(runner: Runner) -> Iterator[None]:
-    """Turn Ctrl-C and SIGTERM into an orderly stop; a second Ctrl-C interrupts at once."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    previous: dict[int, Any] = {}
-
-    def stop(_signal: int, _frame: FrameType | None) -> None:
-        restore()
-        # not here: the handler may run inside the very lock that stop() needs
-        threading.Thread(target=runner.stop, daemon=True).start()
-
-    def restore() -> None:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
-
-    for name in ("SIGINT", "SIGTERM"):
-        if hasattr(signal, name):
-            number = getattr(signal, name)
-            previous[number] = signal.signal(number, stop)
-    try:
-        yield
-    finally:
-        restore()
+        run_attended(path.name, connected, make)
 
 
 def devices(rig_file: Path | None) -> int:

@@ -57,6 +57,17 @@ def build_parser() -> argparse.ArgumentParser:
     scan.add_argument(
         "--wire-log", type=Path, metavar="FILE", help="append every byte on the wire, with its time"
     )
+    scan.add_argument(
+        "--retries",
+        type=int,
+        metavar="N",
+        help="further attempts at a position where a device failed (default 3)",
+    )
+    scan.add_argument(
+        "--on-fault",
+        choices=["pause", "skip", "abort"],
+        help="what then (default: pause at a terminal, else abort; an aborted scan can be resumed)",
+    )
     _rig_option(scan)
 
     fit = commands.add_parser("fit", help="fit the BRDF, store it beside the data, print the table")
@@ -137,7 +148,9 @@ def _run(options: argparse.Namespace) -> int:
         return dry_run(options.plan, options.rig, measure=options.measure)
     if options.command == "scan":
         from gonio.cli.acquisition import resume, scan
+        from gonio.cli.attended import policy_of
 
+        policy = policy_of(options.retries, options.on_fault)
         if (options.resume is None) == (options.plan is None):
             print("gonio scan: give PLAN.toml -o FILE.h5, or --resume FILE.h5", file=sys.stderr)
             return 2
@@ -145,11 +158,11 @@ def _run(options: argparse.Namespace) -> int:
             if options.output is not None:
                 print("gonio scan: --resume continues its own file; leave -o out", file=sys.stderr)
                 return 2
-            return resume(options.resume, options.rig, wire_log=options.wire_log)
+            return resume(options.resume, options.rig, wire_log=options.wire_log, policy=policy)
         if options.output is None:
             print("gonio scan: where to? give -o FILE.h5", file=sys.stderr)
             return 2
-        return scan(options.plan, options.rig, options.output, wire_log=options.wire_log)
+        return scan(options.plan, options.rig, options.output, wire_log=options.wire_log, policy=policy)
     if options.command == "fit":
         from gonio.cli.analysis import fit
 

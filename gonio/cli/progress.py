@@ -37,7 +37,12 @@ class Bar:
     title: str
     total: float
     _draw: Callable[[float, str], None]
+    _print: Callable[[str], None]
     _last_s: float = field(default=0.0)
+
+    def say(self, text: str) -> None:
+        """Print a line that stays, above the bar."""
+        self._print(text)
 
     def update(self, done: float, text: str = "") -> None:
         """Show `done` of `total` and a short text; redraws at most ten times a second."""
@@ -52,7 +57,9 @@ def progress_bar(title: str, total: float) -> Iterator[Bar]:
     """Yield a `Bar` drawn on standard error."""
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield Bar(title, total, _line_printer(title, total))
+        yield Bar(
+            title, total, _line_printer(title, total), lambda text: print(text, file=sys.stderr, flush=True)
+        )
         return
     with Progress(
         TextColumn("{task.description}"),
@@ -69,7 +76,7 @@ def progress_bar(title: str, total: float) -> Iterator[Bar]:
             bars.update(task, completed=done, text=text)
             bars.refresh()
 
-        yield Bar(title, total, draw)
+        yield Bar(title, total, draw, lambda text: console.print(text, markup=False, highlight=False))
 
 
 def _line_printer(title: str, total: float) -> Callable[[float, str], None]:
