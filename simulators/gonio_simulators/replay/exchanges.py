@@ -69,16 +69,36 @@ def joined(chunks: Iterable[Chunk]) -> bytes:
     return b"".join(chunk.data for chunk in chunks)
 
 
-def shared_out(chunks: Iterable[Chunk], owners: Iterable[int], count: int) -> list[tuple[Chunk, ...]]:
-    """Give each byte to one of `count` requests; `owners` names it for each byte, chunks stay together."""
+def shared_out(
+    chunks: Iterable[Chunk], runs: Iterable[tuple[int, int]], count: int
+) -> list[tuple[Chunk, ...]]:
+    """Give all bytes to `count` requests; chunks stay together as far as they are one request's.
+
+    Parameters
+    ----------
+    chunks
+        What came.
+    runs
+        (request, number of bytes) in the order of the bytes; together as many as there are.
+    count
+        How many requests there are.
+    """
     shares: list[list[Chunk]] = [[] for _ in range(count)]
-    owner = iter(owners)
+    left = iter(runs)
+    owner, run = 0, 0
     for chunk in chunks:
-        parts: dict[int, bytearray] = {}
-        for byte in chunk.data:
-            parts.setdefault(next(owner), bytearray()).append(byte)
-        for index, data in parts.items():
-            shares[index].append(Chunk(chunk.delay_s, bytes(data), chunk.late))
+        at = 0
+        while at < len(chunk.data):
+            while run == 0:
+                owner, run = next(left)
+            taken = min(run, len(chunk.data) - at)
+            data = chunk.data[at : at + taken]
+            share = shares[owner]
+            if share and share[-1].delay_s == chunk.delay_s and at and share[-1].late == chunk.late:
+                data = share.pop().data + data
+            share.append(Chunk(chunk.delay_s, data, chunk.late))
+            at += taken
+            run -= taken
     return [tuple(share) for share in shares]
 
 

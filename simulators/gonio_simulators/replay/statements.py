@@ -5,11 +5,15 @@ from __future__ import annotations
 import re
 import string
 from collections.abc import Collection, Mapping, Sequence
+from functools import lru_cache
 
 from gonio_simulators.replay.dialect import Request, all_to_the_last
 from gonio_simulators.replay.exchanges import Chunk, edited, joined, shared_out
 
 _NUMBER = re.compile(r"(?<![\w.])[+-]?\d*\.?\d+(?:E[+-]?\d+)?(?![\w.])")
+
+
+_ANSWER = re.compile(rb"[^\r]*\r\n?|[^\r]+")  # a line feed behind the CR is of the same answer
 
 
 def _normal(text: str) -> str:
@@ -36,6 +40,7 @@ class _Statements:
         return requests
 
 
+@lru_cache(maxsize=4096)  # a scan asks the same things again and again
 def _statement(raw: bytes) -> Request:
     what = _normal(raw.decode("latin-1"))
     is_query = "?" in what
@@ -51,15 +56,15 @@ class Cornerstone:
 
     def share(self, requests: Sequence[Request], chunks: Sequence[Chunk]) -> list[tuple[Chunk, ...]]:
         """Give each statement its echo and what came before the next one's."""
-        owners: list[int] = []
+        runs: list[tuple[int, int]] = []
         current = 0
         for line in joined(chunks).splitlines(keepends=True):
             for later in range(current, len(requests)):
                 if line.strip() == requests[later].raw.strip():
                     current = later
                     break
-            owners += [current] * len(line)
-        return shared_out(chunks, owners, len(requests))
+            runs.append((current, len(line)))
+        return shared_out(chunks, runs, len(requests))
 
     def reworded(
         self, chunks: Sequence[Chunk], recorded: Request, asked: Request, numbers: Mapping[int, int]
@@ -86,16 +91,10 @@ class LockIn:
         questions = [index for index, request in enumerate(requests) if not request.changes]
         if not questions:
             return all_to_the_last(requests, chunks)
-        owners: list[int] = []
-        turn = 0
-        before = 0
-        for byte in joined(chunks):
-            ended = before == 0x0D
-            if ended and byte != 0x0A:  # a line feed behind the CR is still of the same answer
-                turn = min(turn + 1, len(questions) - 1)
-            owners.append(questions[turn])
-            before = byte
-        return shared_out(chunks, owners, len(requests))
+        answers = _ANSWER.findall(joined(chunks))
+        last = len(questions) - 1
+        runs = [(questions[min(turn, last)], len(answer)) for turn, answer in enumerate(answers)]
+        return shared_out(chunks, runs, len(requests))
 
     def reworded(
         self, chunks: Sequence[Chunk], recorded: Request, asked: Request, numbers: Mapping[int, int]

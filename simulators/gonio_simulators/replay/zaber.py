@@ -52,14 +52,17 @@ class Zaber:
     def share(self, requests: Sequence[Request], chunks: Sequence[Chunk]) -> list[tuple[Chunk, ...]]:
         """Give each reply to the request with its address and number."""
         data = joined(chunks)
-        owners = [len(requests) - 1] * len(data)
-        for match in _REPLY.finditer(data):
+        last = len(requests) - 1
+        runs: list[tuple[int, int]] = []
+        at = 0
+        for match in _REPLY.finditer(data) if last else ():
+            number = None if match["number"] is None else int(match["number"])
             for index, request in enumerate(requests):
-                number = None if match["number"] is None else int(match["number"])
                 if number == request.number and int(match["address"]) == int(request.unit or 0):
-                    owners[match.start() : match.end()] = [index] * len(match[0])
+                    runs += [(last, match.start() - at), (index, len(match[0]))]
+                    at = match.end()
                     break
-        return shared_out(chunks, owners, len(requests))
+        return shared_out(chunks, [*runs, (last, len(data) - at)], len(requests))
 
     def reworded(
         self, chunks: Sequence[Chunk], recorded: Request, asked: Request, numbers: Mapping[int, int]
