@@ -40,7 +40,7 @@ class ScanningConfig(SpectrometerConfig):
 
     monochromator: CS260Config
     lockin: SR830Config
-    range_changes_per_pass: NotNegative = 3.0  # over a sample, for the estimate: its spectrum decides
+    range_changes_per_pass: NotNegative = 1.0  # over a sample, for the estimate: its spectrum decides
     detectors: tuple[ScanningDetectorConfig, ...] = Field(min_length=1)
 
     @model_validator(mode="after")
