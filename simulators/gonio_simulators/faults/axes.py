@@ -65,7 +65,10 @@ class AxisFaults:
             return Disturbance(part, happened, Fault.LOW_LIMIT)
         silent = fault.flag("silent")
         what = f"silent={silent}"
-        return Disturbance(part, happened, Fault.NONE if silent else Fault.STALL, slips=silent)
+        if not silent:
+            return Disturbance(part, happened, Fault.STALL)
+        what = f"{what} readback={fault.text('readback')}"
+        return Disturbance(part, happened, slips=fault.text("readback") == "target")
 
     def _hand(self, fault: ActiveFault) -> Disturbance | None:
         motor = self._motor

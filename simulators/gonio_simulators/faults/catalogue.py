@@ -131,7 +131,12 @@ _LIST = (
         MOVE,
         "the motor loses its steps in mid-move",
         {
-            "silent": Key(False, "open loop: no fault, the counter runs on to the target, the arm stands"),
+            "silent": Key(False, "no fault: the controller is idle as after a good move"),
+            "readback": Key(
+                "target",
+                "if silent, what it says of its position: target as in open loop, truth by an encoder",
+                choices=("target", "truth"),
+            ),
             "part": _PART,
         },
     ),

@@ -106,6 +106,16 @@ def test_silent_stall_is_seen_by_an_encoder_alone(faulty) -> None:
     assert zaber(wire, "get encoder.pos")[3] == "85333"
 
 
+def test_silent_stall_of_an_axis_that_reads_its_encoder(faulty) -> None:
+    f = faulty("stall@theta_i:nth=1:part=0.5:silent=true:readback=truth")
+    wire = homed_zaber(f)
+    zaber(wire, "move abs 85333")
+    settle(f)
+    status = zaber(wire, "get pos")
+    assert status[:3] == ["OK", "IDLE", "--"]
+    assert int(status[3]) == pytest.approx(42667, abs=30)
+
+
 def test_a_new_command_while_the_counter_runs_on(faulty) -> None:
     f = faulty("stall@theta_i:nth=1:part=0.2:silent=true")
     wire = homed_zaber(f)
