@@ -171,6 +171,12 @@ class SpectrometerConfig(Strict):
         return PassTime(self.reading_duration_s(wavelength_nm, averages))
 
 
+class WireConfig(Strict):
+    """``[wire]``: what holds for every line of the rig."""
+
+    reply_timeout_s: Positive | None = None  # real seconds for a whole reply; by default 1 (Modbus) or 2
+
+
 class BaselineConfig(Strict):
     """Where the direct beam is measured: the sample edge-on, out of the beam, the arm facing the source."""
 
@@ -188,6 +194,7 @@ class RigConfig(Strict):
     polarizer: PolarizerConfig
     spectrometer: SpectrometerConfig
     latency: LatencyConfig = LatencyConfig()
+    wire: WireConfig = WireConfig()
     simulation: Mapping[str, Any] | None = None
     text: str = ""
 
@@ -301,6 +308,7 @@ class Context:
     rig_name: str
     clock: Clock
     wire_log: Path | None = None
+    reply_timeout_s: float | None = None  # real seconds; None: each driver knows what its device may take
     shared: dict[str, Any] = field(default_factory=dict)  # what the rig's drivers share: open lines
 
 
@@ -509,7 +517,12 @@ def open_rig(config: RigConfig, *, wire_log: Path | None = None) -> Rig:
 
     Addresses that are still ``simulated`` must have been replaced first (`with_addresses`).
     """
-    context = Context(rig_name=config.name, clock=Clock(config.clock_speed()), wire_log=wire_log)
+    context = Context(
+        rig_name=config.name,
+        clock=Clock(config.clock_speed()),
+        wire_log=wire_log,
+        reply_timeout_s=config.wire.reply_timeout_s,
+    )
     opened: list[Any] = []
     try:
         for role, table in (

@@ -25,7 +25,6 @@ from gonio_drivers.lines import Line, NoReply, connecting, open_line
 
 Value = TypeVar("Value")
 
-_REAL_REPLY_S = 2.0
 _REAL_ARRIVAL_S = 0.5
 _LOOK_S = 0.05  # instrument seconds between two looks at something that may still move
 _LOST_IN_A_ROW = 2  # drives without an answer, after which the instrument is taken to be deaf while it moves
@@ -339,7 +338,7 @@ class CS260:
 
     def _timeout_s(self, duration_s: float) -> float:
         """Real seconds for a reply that waits for a motion of `duration_s` instrument seconds."""
-        return _REAL_REPLY_S + _SLACK * duration_s / self._clock.speed
+        return self._line.reply_timeout_s + _SLACK * duration_s / self._clock.speed
 
     def _number(self, answer: str) -> float:
         try:

@@ -28,7 +28,6 @@ _LOOK_S = 0.05  # instrument seconds between two looks at a module that may stil
 _BUSY_ATTEMPTS = 100
 _BUSY = "busy"
 _REPLY = re.compile(rb"([0-9A-Fa-f])([A-Z]{2})([0-9A-Fa-f]+)")
-_REAL_MOVE_S = 2.0  # at least so much real time, whatever the simulated clock
 _FARTHEST_DEG = 3600.0  # ten turns; a flipped bit of the 32 reads as up to five million degrees
 
 _STATUS: Mapping[int, tuple[str, str]] = {
@@ -71,7 +70,7 @@ class ElliptecRotator:
         self._clock = context.clock
         self._device = f"{line.device} (Elliptec module {self._address})"
         # The reply to a move comes when it has ended, in the module's own time.
-        self._move_timeout_s = _REAL_MOVE_S + _MOVE_S / context.clock.speed
+        self._move_timeout_s = line.reply_timeout_s + _MOVE_S / context.clock.speed
         self._stop_asked = threading.Event()
         self._rests_at_deg: float | None = None  # where the last move ended; None: the count is in doubt
         self._description = self._identified()

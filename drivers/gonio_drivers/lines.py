@@ -401,6 +401,7 @@ def open_line(
             log.note(str(error))
             log.close()
         raise
-    line = Line(port, role, address, log, reply_timeout_s, reopen=opener)
+    timeout_s = context.reply_timeout_s or reply_timeout_s
+    line = Line(port, role, address, log, timeout_s, reopen=opener)
     context.shared[key] = line, (protocol, baudrate)
     return line
