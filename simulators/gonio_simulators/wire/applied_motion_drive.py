@@ -3,11 +3,15 @@
 Register addresses count from 0; a 32-bit value takes two registers in the word order of the drive's
 parameter PR (5: big endian, 133: little endian).  Speeds are revolutions per second of the motor times 240,
 accelerations revolutions per second squared times 6.
+
+Of the opcodes those are refused (exception 3) that need what the bench has not: sensors and outputs, a stored
+program, a following encoder, an analogue input.
 """
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from typing import Literal
 
 from gonio_simulators.bench.motor import RELEASED, Fault, Motor
@@ -18,11 +22,16 @@ ALARM, STATUS, ENCODER, POSITION, SET_POSITION = 0x00, 0x01, 0x04, 0x06, 0x08
 SPEED_NOW, SPEED_WANTED = 0x0A, 0x0B
 TEMPERATURE, BUS_VOLTAGE = 0x0C, 0x0D
 ACCELERATION, DECELERATION, VELOCITY, DISTANCE = 0x1B, 0x1C, 0x1D, 0x1E
+JOG_ACCELERATION, JOG_DECELERATION, JOG_VELOCITY = 0x2E, 0x2F, 0x30
 OPCODE, PARAMETER_1 = 0x7C, 0x7D
 _REGISTERS = 0x90
 _LIVE = 0x10  # registers below this one are made at each reading
 _WRITABLE = frozenset([0x08, 0x09, *range(0x1B, 0x23), *range(0x28, _REGISTERS)])
-_CEILINGS = {ACCELERATION: 32767, DECELERATION: 32767, VELOCITY: 32000}
+_CEILINGS = {
+    **dict.fromkeys((ACCELERATION, DECELERATION, JOG_ACCELERATION, JOG_DECELERATION), 32767),
+    **dict.fromkeys((VELOCITY, JOG_VELOCITY), 32000),
+}
+_ENDLESS_STEPS = 1 << 40
 
 SPEED_UNIT = 240.0  # per rev/s
 ACCELERATION_UNIT = 6.0  # per rev/s2
@@ -73,14 +82,17 @@ class Drive:
         self._enabled = True  # these drives energise the motor when power comes on
         self._moved_while_disabled = False
         self._stopping = False
+        self._jogging = False
         self._registers = [0] * _REGISTERS
+        self._registers[JOG_ACCELERATION] = self._registers[JOG_DECELERATION] = round(100 * ACCELERATION_UNIT)
+        self._registers[JOG_VELOCITY] = round(10 * SPEED_UNIT)
         acceleration = round(motor.acceleration_steps_s2 / steps_per_rev * ACCELERATION_UNIT)
         self._registers[ACCELERATION] = self._registers[DECELERATION] = min(max(acceleration, 1), 32767)
         self._registers[VELOCITY] = min(
             max(round(motor.speed_steps_s / steps_per_rev * SPEED_UNIT), 1), 32000
         )
         self._power_on = tuple(self._registers)
-        self._opcodes = {
+        self._opcodes: dict[int, Callable[[], None]] = {
             0x66: self._feed_length,  # FL
             0x67: self._feed_position,  # FP
             0x6E: self._seek_home,  # SH
@@ -91,6 +103,11 @@ class Drive:
             0x9F: self._enable,  # ME
             0x9E: self._disable,  # MD
             0xA5: self._set_position,  # SP
+            0x98: self._set_encoder,  # EP
+            0x96: self._commence_jogging,  # CJ
+            0xD8: self._stop_jogging,  # SJ
+            0xA2: lambda: None,  # JE, JD: jog inputs, which nobody presses here
+            0xA3: lambda: None,
         }
 
     def power_cycle(self) -> None:
@@ -98,7 +115,8 @@ class Drive:
         self.motor.power_cycle()
         self._offset = self._encoder_offset = 0
         self._origins = self.motor.origins_steps
-        self._enabled, self._moved_while_disabled, self._stopping = True, False, False
+        self._enabled, self._moved_while_disabled = True, False
+        self._stopping = self._jogging = False
         self._registers[:] = self._power_on
         self._take_over_profile()
 
@@ -185,7 +203,8 @@ class Drive:
 
     def _may_move(self) -> bool:
         """Say whether the drive is energised; a stalled motor must be reset first."""
-        self._stopping = False
+        self._stopping = self._jogging = False
+        self._take_over_profile()
         if not self._is_enabled():
             self._moved_while_disabled = True
             return False
@@ -199,6 +218,19 @@ class Drive:
     def _stop(self) -> None:
         self._stopping = self.motor.is_moving()
         self.motor.stop()
+
+    def _commence_jogging(self) -> None:
+        """Turn at the jog speed to the side that the sign of the distance names, until told to stop."""
+        if not self._may_move():
+            return
+        acceleration = min(self._registers[JOG_ACCELERATION], self._registers[JOG_DECELERATION])
+        self._set_profile(acceleration, self._registers[JOG_VELOCITY])
+        self._jogging = True
+        self.motor.move_absolute(-_ENDLESS_STEPS if self._s32(DISTANCE) < 0 else _ENDLESS_STEPS)
+
+    def _stop_jogging(self) -> None:
+        if self._jogging:
+            self._stop()
 
     def _reset_alarm(self) -> None:
         self._is_enabled()
@@ -216,6 +248,10 @@ class Drive:
     def _set_position(self) -> None:
         self._rename_position(self._s32(PARAMETER_1))
 
+    def _set_encoder(self) -> None:
+        self._keep_counting()
+        self._encoder_offset = self.motor.encoder_steps() - self._s32(PARAMETER_1)
+
     def _rename_position(self, position: int) -> None:
         self._keep_counting()
         self._offset = self.motor.position_steps() - position
@@ -232,14 +268,19 @@ class Drive:
 
     def _take_over_profile(self) -> None:
         acceleration = min(self._registers[ACCELERATION], self._registers[DECELERATION])
+        self._set_profile(acceleration, self._registers[VELOCITY])
+
+    def _set_profile(self, acceleration: int, velocity: int) -> None:
+        """Set the motor's profile, in units of the registers."""
         self.motor.acceleration_steps_s2 = acceleration / ACCELERATION_UNIT * self._steps_per_rev
-        self.motor.speed_steps_s = self._registers[VELOCITY] / SPEED_UNIT * self._steps_per_rev
+        self.motor.speed_steps_s = velocity / SPEED_UNIT * self._steps_per_rev
 
     def _refresh(self) -> None:
         motor, registers = self.motor, self._registers
         moving = motor.is_moving()
         fault = motor.fault
         self._stopping = self._stopping and moving
+        self._jogging = self._jogging and moving
         enabled = self._is_enabled()
         alarm = _ALARM_OF[fault] | (_ALARM_DISABLED if self._moved_while_disabled else 0)
         registers[ALARM] = alarm
@@ -248,7 +289,7 @@ class Drive:
             | (fault in _DRIVE_FAULTS) << 2
             | (enabled and not moving and fault is Fault.NONE) << 3  # in position
             | moving << 4
-            | motor.is_manual() << 5  # the jog input is the knob of these drives
+            | (self._jogging or motor.is_manual()) << 5  # the jog input is the knob of these drives
             | self._stopping << 6
             | (alarm != 0) << 9
             | motor.is_homing() << 10

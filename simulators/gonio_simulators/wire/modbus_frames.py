@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 import time
+from collections.abc import Callable
 
 SILENCE_S = 0.02
 """Real seconds without a byte after which the beginning of an RTU frame is forgotten.
@@ -56,19 +57,25 @@ def mbap_frame(transaction: int, unit: int, pdu: bytes) -> bytes:
 class RtuReceiver:
     """Finds RTU requests by their length, which function code and byte count tell, and by silence."""
 
-    def __init__(self) -> None:
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+        self._now = now
         self._buffer = b""
-        self._last_s = 0.0
+        self._last_s = now()
 
     def feed(self, data: bytes) -> list[tuple[int, bytes]]:
         """Return the complete requests as (unit id, protocol data unit); damaged ones are dropped."""
-        now_s = time.monotonic()
+        now_s = self._now()
         if now_s - self._last_s > SILENCE_S:
             self._buffer = b""
         self._last_s = now_s
         self._buffer += data
         requests: list[tuple[int, bytes]] = []
-        while (length := _request_length(self._buffer)) is not None and len(self._buffer) >= length:
+        while len(self._buffer) >= 4:
+            length = _request_length(self._buffer)
+            if length is None and crc16(self._buffer) == 0:
+                length = len(self._buffer)  # of a function whose length is not known, the frame is complete
+            if length is None or len(self._buffer) < length:
+                break
             frame, self._buffer = self._buffer[:length], self._buffer[length:]
             if crc16(frame) != 0:  # the CRC over a whole frame, its own CRC included, is zero
                 self._buffer = b""  # out of step: a slave listens again after the next silence
@@ -79,16 +86,29 @@ class RtuReceiver:
         return requests
 
 
+_LENGTHS = {
+    **dict.fromkeys((1, 2, 3, 4, 5, 6, 8), 8),
+    **dict.fromkeys((7, 11, 12, 17), 4),
+    22: 10,
+    24: 6,
+    43: 7,
+}
+"""Bytes of the requests of fixed length, unit id and CRC included."""
+
+_COUNTED = {15: (6, 9), 16: (6, 9), 20: (2, 5), 21: (2, 5), 23: (10, 13)}
+"""Where the byte count of a longer request stands, and the bytes beside those that it counts."""
+
+
 def _request_length(buffer: bytes) -> int | None:
-    """Bytes of the request that `buffer` begins with, CRC included; None if too few are there to tell."""
-    if len(buffer) < 2:
-        return None
+    """Bytes of the request that `buffer` begins with, CRC included; None if that cannot be told (yet).
+
+    The length of every public function is known, as a drive must find the end also of what it refuses.
+    """
     function = buffer[1]
-    if function in (0x0F, 0x10):
-        return 9 + buffer[6] if len(buffer) > 6 else None
-    if 1 <= function <= 6:
-        return 8
-    return max(4, len(buffer))  # an unknown function: the frame is what arrived together
+    if function in _COUNTED:
+        place, beside = _COUNTED[function]
+        return buffer[place] + beside if len(buffer) > place else _MAX_RTU_BYTES
+    return _LENGTHS.get(function)
 
 
 class MbapReceiver:

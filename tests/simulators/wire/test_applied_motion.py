@@ -235,3 +235,74 @@ def test_stop(bench: StillBench) -> None:
     bench.clock.advance(1.01)
     assert master.read(1, 1, 1) == (ENABLED | IN_POSITION,)
     assert master.position(1) == pytest.approx(10_000 + 20_000 + 10_000, abs=1)
+
+
+def test_jogging(bench: StillBench) -> None:
+    master = Master(bench)
+    master.home(bench, 1)
+    master.write(1, 0x2E, 60, 60, 240)  # 10 rev/s2, 1 rev/s
+    master.write(1, 0x1E, *master.words(1))
+    master.do(1, 0x96)
+    bench.clock.advance(5.0)
+    assert master.read(1, 1, 1) == (ENABLED | MOVING | 1 << 5,)
+    assert master.read(1, 0x0A, 1) == (240,)
+    before = master.position(1)
+    bench.clock.advance(1.0)
+    assert master.position(1) - before == 20_000
+    master.do(1, 0xD8)
+    bench.clock.advance(1.0)
+    assert master.read(1, 1, 1) == (ENABLED | IN_POSITION,)
+    master.write(1, 0x1B, 600, 600, 480, *master.words(0))  # the next move has its own profile
+    master.do(1, 0x67)
+    bench.clock.advance(0.5)
+    assert master.read(1, 0x0A, 1) == (0x10000 - 480,)
+    master.write(1, 0x7D, *master.words(77))
+    bench.clock.advance(30.0)
+    master.do(1, 0x98)
+    assert master.read(1, 4, 4) == (0, 77, 0, 0)  # EP renames the encoder alone
+
+
+@pytest.mark.parametrize(
+    "pdu",
+    [
+        "01 0000 0001",
+        "02 0000 0001",
+        "05 0000 FF00",
+        "07",
+        "08 0000 A537",  # diagnostics: return query data
+        "0B",
+        "0F 0000 0008 01 FF",
+        "11",
+        "16 0004 00F2 0025",
+        "17 0003 0006 000E 0003 06 00FF 00FF 00FF",  # read and write
+        "18 04DE",
+        "2B 0E 01 00",  # device identification
+    ],
+)
+def test_other_public_functions_are_refused_and_the_line_stays_in_step(bench: StillBench, pdu: str) -> None:
+    request = bytes.fromhex(pdu)
+    stream = rtu_frame(1, request) + rtu_frame(1, bytes.fromhex("0300010001"))
+    refusal = rtu_frame(1, bytes([request[0] | 0x80, 1]))
+    for cut in range(len(stream)):
+        talk = Master(bench).line.open()
+        replies = talk.feed(stream[:cut]) + talk.feed(stream[cut:])
+        assert replies.startswith(refusal)
+        assert len(replies) == len(refusal) + 7
+
+
+def test_garbage_is_forgotten_after_a_silence() -> None:
+    now_s = 0.0
+    receiver = RtuReceiver(lambda: now_s)
+    frame = rtu_frame(1, bytes.fromhex("0300010001"))
+    assert receiver.feed(b"\x01\x10\x00\x00") == []  # the beginning of a long request, and then nothing
+    now_s = 0.01
+    assert receiver.feed(frame) == []  # taken for its rest
+    now_s = 0.05
+    assert receiver.feed(frame) == [(1, bytes.fromhex("0300010001"))]
+
+
+def test_a_function_of_unknown_length_ends_with_its_crc() -> None:
+    receiver = RtuReceiver()
+    frame = rtu_frame(1, b"\x64\x01\x02\x03")
+    assert receiver.feed(frame[:5]) == []
+    assert receiver.feed(frame[5:]) == [(1, b"\x64\x01\x02\x03")]
