@@ -105,8 +105,19 @@ class MotorAxis:
         self._group = tuple(group)
 
     def position_deg(self) -> float:
-        """Return the position read back from the drive, degrees."""
-        return self._degrees(self._drive.state().position_steps)
+        """Return the position read back from the drive, degrees.
+
+        Raises
+        ------
+        MotionError
+            The count has no reference, so it is no position: never homed, or switched off and on since.
+        """
+        state = self._drive.state()
+        why = None if state.referenced else "has no reference (it was switched off, or never homed)"
+        why = why or self._drive.confirm()
+        if why is not None:
+            raise self._distrusted(why, "home it, which opening the rig again does")
+        return self._degrees(state.position_steps)
 
     def start(self, target_deg: float) -> None:
         """Begin a move, in two legs if the approach needs it (`approach_legs`); `wait` completes it.
