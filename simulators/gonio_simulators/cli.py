@@ -123,8 +123,8 @@ def _tables(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
             simulation["clock_speed"] = options.clock_speed
         if options.seed is not None:
             simulation["seed"] = options.seed
-        if options.fault:
-            simulation["faults"] = [*simulation.get("faults", []), *options.fault]
+        if options.fault and isinstance(simulation.setdefault("faults", []), list):
+            simulation["faults"] = simulation["faults"] + options.fault
         if options.fault_log is not None:
             simulation["fault_log"] = str(options.fault_log)
     return tables, source

@@ -120,9 +120,7 @@ class WireFaults:
     # -- requests -------------------------------------------------------------------------------------------
 
     def _request(self, request: bytes, deliver: Deliver) -> None:
-        for fault in self._on_request:
-            if not fault.strikes():
-                continue
+        for fault in [f for f in self._on_request if f.strikes()]:  # each counts, whatever becomes of it
             if fault.name == "corrupt-request":
                 damaged = changed(request, fault.text("unit"), fault.rng)
                 fault.record(f"request={shown(request)} became={shown(damaged)}")
@@ -190,10 +188,8 @@ class WireFaults:
 
     def _reply(self, reply: bytes, transmit: Deliver) -> None:
         chunks = [(0.0, reply)]
-        for fault in self._on_reply:
-            if not chunks:
-                break
-            if fault.strikes():
+        for fault in [f for f in self._on_reply if f.strikes()]:  # each counts, whatever becomes of it
+            if chunks:
                 chunks = self._damaged(fault, reply, chunks, transmit)
         if chunks and self._held and self._held_for is not None and self._held_for[0] < self._requests:
             (delay_s, first), *rest = chunks
@@ -282,8 +278,9 @@ class WireFaults:
                 out.append(line)
                 continue
             self._echo = self._echo[len(line) :]
-            for fault in self._on_echo if line.endswith(b"\n") else ():
-                if line and fault.strikes():
+            striking = [f for f in self._on_echo if f.strikes()] if line.endswith(b"\n") else []
+            for fault in striking:
+                if line:
                     fault.record(f"echo={shown(line)}")
                     line = b"" if fault.name == "echo-missing" else line + line
             out.append(line)

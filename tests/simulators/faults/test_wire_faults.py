@@ -152,7 +152,7 @@ def test_disconnect(faulty, executed: str, value: bytes) -> None:
 
 
 def test_echo(faulty) -> None:
-    f = faulty("echo-missing:nth=1", "echo-doubled:nth=2")  # a lost echo is no opportunity
+    f = faulty("echo-missing:nth=1", "echo-doubled:nth=3")
     wire = f.monochromator()
     assert wire.ask(b"WAVE?\n") == b"500.000\r\n"
     assert wire.ask(b"WAVE?\n") == b"WAVE?\n500.000\r\n"
@@ -186,7 +186,7 @@ def test_every_place_counts_for_itself(faulty) -> None:
 
 
 def test_a_new_client_inherits_nothing(faulty) -> None:
-    f = faulty("late-reply@stage:nth=1", "slow-reply@stage:nth=1")
+    f = faulty("late-reply@stage:nth=1", "slow-reply@stage:nth=2")
     wire = f.zaber()
     first: list[bytes] = []
     talk = wire.talk
