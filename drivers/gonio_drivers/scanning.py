@@ -276,7 +276,9 @@ class ScanningSpectrometer:
                 self._clock.sleep(self._spacing_s)
             reading = self._lockin.read()
             if reading.overload:
-                # The bits are latched: this overload may be that of the light sweeping past during the drive.
+                # The bits are latched: this overload may be that of the light sweeping past during the drive,
+                # or a spike, whose trace in the low-pass bears no bit any more.
+                self._clock.sleep(self._jump_settle_s)
                 reading = self._lockin.read()
             samples_v[k] = reading.x_v
             time_s += self._clock.now_s() / averages
