@@ -13,6 +13,8 @@ from collections import deque
 from gonio_simulators.bench.bench import Bench
 from gonio_simulators.wire.cs260_statements import Controller
 
+_INPUT_BUFFER_BYTES = 256
+
 
 class Cornerstone260:
     """The instrument; its settings outlive clients."""
@@ -50,7 +52,7 @@ class CornerstoneConversation:
                 out.append(self._accept(statement))
         if lines[-1]:
             out.append(lines[-1])
-            self._unfinished += lines[-1]
+            self._unfinished = (self._unfinished + lines[-1])[-_INPUT_BUFFER_BYTES:]
         return b"".join(out)
 
     def poll(self) -> bytes:

@@ -1,6 +1,7 @@
 """What each statement to a Cornerstone 260 does, its response, and the status and error codes.
 
-After the instrument's manual, appendix "Low level commands and queries".
+After the instrument's manual, appendix "Low level commands and queries".  Set and read back, but without
+effect on the bench: bandpass (it sets motorised slits), slits 2 and 3, calibration, address.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ _STEP_NM_AT_1200 = 0.1  # one step of the drive, nm, with 1200 lines/mm
 _SLIT_RANGE_UM = (4, 3000)
 _LINES = {1: 1200, 2: 600, 3: 300}
 _NUMBERED = re.compile(r"(GRAT|FILTER|SLIT)(\d)([A-Z]+)\Z")
-_UNITS = {"NM": 1.0, "UM": 1e-3}
+_DECIMALS = {"NM": 3, "UM": 6, "WN": 2}  # nanometres, micrometres, wavenumbers (1/cm)
+_NM_PER_UM, _NM_TIMES_WN = 1e3, 1e7
 
 INFORMATION = "NEWPORT CORP,CORNERSTONE 260,74100,SN 2601,V1.06"
 
@@ -34,6 +36,7 @@ class Controller:
 
     def __init__(self, bench: Bench) -> None:
         self.monochromator = bench.monochromator
+        self._has_wheel = bool(bench.config.spectrometer.monochromator.filters)
         self.clock = bench.clock
         self.handshake = False
         self._error = 0
@@ -50,7 +53,7 @@ class Controller:
             "UNITS": lambda: self._unit,
             "STEP": lambda: str(round(self.monochromator.wavelength_nm / self._step_nm())),
             "GRAT": self._grating,
-            "FILTER": lambda: str(self.monochromator.filter),
+            "FILTER": self._filter,
             "SHUTTER": lambda: "O" if self.monochromator.shutter_open else "C",
             "OUTPORT": lambda: str(self.monochromator.output_port),
             "BANDPASS": lambda: f"{self._bandpass_nm:.3f}",
@@ -65,7 +68,7 @@ class Controller:
             "CALIBRATE": self._calibrate,
             "STEP": self._step,
             "GRAT": lambda p: self._select(self.monochromator.select_grating, p),
-            "FILTER": lambda p: self._select(self.monochromator.select_filter, p),
+            "FILTER": self._select_filter,
             "OUTPORT": lambda p: self._select(self.monochromator.set_output_port, p),
             "SHUTTER": self._shutter,
             "UNITS": self._set_units,
@@ -125,6 +128,11 @@ class Controller:
         label = self._labels.get(("GRAT", number), f"GRAT{number}")
         return f"{number},{_LINES.get(number, 1200)},{label}"
 
+    def _filter(self) -> str:
+        if not self._has_wheel:
+            raise StatementError(NO_ACCESSORY)
+        return str(self.monochromator.filter)
+
     def _take_status(self) -> str:
         status, self._status = self._status, 0
         return f"{status:02X}"
@@ -134,7 +142,20 @@ class Controller:
         return str(code)
 
     def _format_wavelength(self, wavelength_nm: float) -> str:
-        return f"{wavelength_nm * _UNITS[self._unit]:.{3 if self._unit == 'NM' else 6}f}"
+        value = {
+            "NM": wavelength_nm,
+            "UM": wavelength_nm / _NM_PER_UM,
+            "WN": _NM_TIMES_WN / wavelength_nm,
+        }[self._unit]
+        return f"{value:.{_DECIMALS[self._unit]}f}"
+
+    def _wavelength_nm(self, parameter: str) -> float:
+        value = _number(parameter)
+        if self._unit != "WN":
+            return value * (_NM_PER_UM if self._unit == "UM" else 1.0)
+        if value <= 0:
+            raise StatementError(BAD_PARAMETER)
+        return _NM_TIMES_WN / value
 
     # -- commands -----------------------------------------------------------------------------------------
 
@@ -174,13 +195,13 @@ class Controller:
 
     def _go_wave(self, parameter: str) -> None:
         try:
-            self.monochromator.goto(_number(parameter) / _UNITS[self._unit])
+            self.monochromator.goto(self._wavelength_nm(parameter))
         except ValueError:
             raise StatementError(NOT_ALLOWED) from None
 
     def _calibrate(self, parameter: str) -> None:
         """Accept only where the drive is: it is true on the bench and has nothing to correct."""
-        wavelength_nm = _number(parameter) / _UNITS[self._unit]
+        wavelength_nm = self._wavelength_nm(parameter)
         if abs(wavelength_nm - self.monochromator.wavelength_nm) > self._step_nm():
             raise StatementError(BAD_PARAMETER)
 
@@ -193,6 +214,11 @@ class Controller:
             self.monochromator.goto(target_nm)
         except ValueError:
             raise StatementError(BAD_PARAMETER) from None
+
+    def _select_filter(self, parameter: str) -> None:
+        if not self._has_wheel:
+            raise StatementError(NO_ACCESSORY)
+        self._select(self.monochromator.select_filter, parameter)
 
     @staticmethod
     def _select(select: Callable[[int], None], parameter: str) -> None:
@@ -216,7 +242,7 @@ class Controller:
             self.monochromator.set_slit(width_um)
 
     def _set_units(self, parameter: str) -> None:
-        if parameter not in _UNITS:
+        if parameter not in _DECIMALS:
             raise StatementError(BAD_PARAMETER)
         self._unit = parameter
 

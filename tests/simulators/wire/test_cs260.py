@@ -1,7 +1,11 @@
 """The Cornerstone 260: echo, responses, status and error codes, and answers that wait for the mechanics."""
 
-import pytest
+import tomllib
 
+import pytest
+import tomli_w
+
+from gonio.rig import default_rig_text
 from gonio_simulators.wire.cs260 import Cornerstone260
 from tests.simulators.wire.conftest import StillBench, advance_until_answered
 
@@ -106,6 +110,8 @@ def test_handshake_follows_the_completion(bench: StillBench, talk) -> None:
         (b"GRAT1FACTOR 0.9991", b"GRAT1FACTOR?", b"0.9991000"),
         (b"BANDPASS 5", b"BANDPASS?", b"5.000"),
         (b"UNITS UM", b"WAVE?", b"0.500000"),
+        (b"UNITS WN", b"WAVE?", b"20000.00"),
+        (b"UNITS WN\nGOWAVE 16000", b"WAVE?", b"16000.00"),
         (b"STEP 10", b"WAVE?", b"501.000"),
         (b"HANDSHAKE 0", b"HANDSHAKE?", b"0"),
     ],
@@ -130,3 +136,21 @@ def test_the_light_follows_the_statements(bench: StillBench, talk) -> None:
         True,
         2,
     )
+
+
+def test_without_a_filter_wheel_there_is_no_accessory() -> None:
+    tables = tomllib.loads(default_rig_text())
+    del tables["spectrometer"]["monochromator"]["filters"]
+    bare = StillBench.of(tomli_w.dumps(tables))
+    talk = Cornerstone260(bare).open()
+    for statement in (b"FILTER 1", b"FILTER?"):
+        assert talk.feed(statement + b"\n") == statement + b"\n"
+        assert talk.feed(b"ERROR?\n") == b"ERROR?\n6\r\n"
+
+
+def test_statements_may_have_spaces_and_any_case(bench: StillBench, talk) -> None:
+    assert talk.feed(b"  gowave   510.5  \r\n") == b"  gowave   510.5  \r\n"
+    settle(bench, talk)
+    assert talk.feed(b"Wave?\r\n") == b"Wave?\r\n510.500\r\n"
+    assert talk.feed(b"abort \r\n") == b"abort \r\n"  # as one client sends it
+    assert talk.feed(b"STB?\n") == b"STB?\n00\r\n"
