@@ -29,10 +29,13 @@ name = "linear"
 [[wavelengths]]
 start_nm = 370.0
 stop_nm = 870.0
-step_nm = 250.0
+step_nm = 500.0
 [[sweeps]]
 theta_i_deg = 20.0
 theta_mes_deg = [30.0, 120.0]
+[references]
+dark = ["start"]
+baseline = ["start"]
 """
 
 
@@ -67,7 +70,7 @@ def test_a_scan_with_foreign_devices_only(tmp_path, make):
         reflectance(i, mes, pol)
         for i, mes, pol in zip(scan.theta_i_deg, scan.theta_mes_deg, scan.polarization, strict=True)
     ]
-    assert scan.r.shape == (4, 3)
+    assert scan.r.shape == (4, 2)
     assert scan.usable.all()
-    np.testing.assert_allclose(scan.r, np.array(truth)[:, None] * np.ones(3), rtol=5e-4)
+    np.testing.assert_allclose(scan.r, np.array(truth)[:, None] * np.ones(2), rtol=5e-4)
     assert scan.theta_mes_deg == pytest.approx([30.0, 120.0] * 2, abs=0.01)
