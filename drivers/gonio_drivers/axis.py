@@ -25,6 +25,7 @@ from gonio_drivers.status import ThreadStatus
 
 POLL_S = 0.05  # instrument seconds between polls of a moving axis; a fault is seen at most this late
 _SHORTEST_POLL_S = 0.01
+_PATH_SLACK_DEG = 1.0  # by which a moving axis may read outside its path: lag of an encoder, lost motion
 _DEADLINE_FACTOR = 3.0
 _DEADLINE_MARGIN_S = 5.0
 _REAL_FLOOR_S = 3.0  # a fast simulated clock must not turn a pause of the operating system into a timeout
@@ -54,6 +55,7 @@ class _Move:
     legs_deg: tuple[float, ...]
     homing: bool = False
     leg: int = 0
+    from_deg: float | None = None  # where the leg began
     expected_end_s: float = 0.0
     deadline: _Deadline | None = None
     may_be_idle: _Deadline | None = None
@@ -139,7 +141,7 @@ class MotorAxis:
         if self._stands_at_steps == self._steps(target_deg) and self._is_at(here_deg, target_deg):
             self._move = _Move(target_deg, (), result_deg=here_deg)
             return
-        if self._rests_at_deg is not None and not self._drive.reports_reference:
+        if not self._drive.reports_reference:
             self._expect_at_rest(here_deg)
         legs_deg = approach_legs(self._config, here_deg, target_deg)
         for begin_deg, end_deg in zip((here_deg, *legs_deg), legs_deg, strict=False):
@@ -320,9 +322,14 @@ class MotorAxis:
         return MotionError(self._drive.device, fault, remedy)
 
     def _expect_at_rest(self, here_deg: float) -> None:
-        """A drive that cannot say whether it was switched off, and has another count now, may have been."""
-        assert self._rests_at_deg is not None
-        if not self._is_at(here_deg, self._rests_at_deg):
+        """A drive that cannot say whether it was switched off, and has another count now, may have been.
+
+        Without a known place of rest (the last move was stopped, or never waited for) it is asked.
+        """
+        if self._rests_at_deg is None:
+            if (why := self._drive.confirm()) is not None:
+                raise self._distrusted(f"{why}; it reads {here_deg:.3f} deg", "home it")
+        elif not self._is_at(here_deg, self._rests_at_deg):
             raise self._distrusted(
                 f"reads {here_deg:.3f} deg although left at {self._rests_at_deg:.3f} deg: it was moved by "
                 "hand, or switched off and on",
@@ -356,6 +363,7 @@ class MotorAxis:
             except DeviceError:
                 self._stop_quietly()  # the command may have been taken although its confirmation was lost
                 raise
+        move.from_deg = from_deg
         low, high = self._config.limits_deg
         if from_deg is None:  # homing, at a speed that only the drive knows
             duration_s = 20.0 * self._config.move_duration_s(high - low) + 60.0
@@ -402,6 +410,10 @@ class MotorAxis:
                 f"{state.fault}; it stands at {here_deg:.3f} deg on its way to {move.target_deg:g} deg",
                 state.remedy,
             )
+        if not move.homing and (why := self._astray(move, state, here_deg)) is not None:
+            if state.moving:
+                self._stop_quietly()
+            raise self._distrusted(why, "check its power supply, then home the axis and repeat")
         if state.moving:
             assert move.deadline is not None
             if move.deadline.passed(self._clock):
@@ -443,6 +455,20 @@ class MotorAxis:
             self._stands_at_steps = None if move.homing else self._steps(move.target_deg)
             self._rests_at_deg = here_deg
             move.result_deg = here_deg
+
+    def _astray(self, move: _Move, state: DriveState, here_deg: float) -> str | None:
+        """Return why a move that was begun cannot lead to its target: the count is another one since.
+
+        A drive that was switched off and on just before the command counts from elsewhere, and would run that
+        far beyond the target: into a switch, or to an angle that it calls by a wrong number.
+        """
+        if not state.referenced:
+            return f"lost its reference on its way to {move.target_deg:g} deg (it was switched off)"
+        if state.moving and move.from_deg is not None:
+            low_deg, high_deg = sorted((move.from_deg, move.legs_deg[move.leg]))
+            if not low_deg - _PATH_SLACK_DEG <= here_deg <= high_deg + _PATH_SLACK_DEG:
+                return f"reads {here_deg:.3f} deg on its way from {low_deg:.3f} to {high_deg:.3f} deg"
+        return None
 
     def _arrived(self, move: _Move, state: DriveState, here_deg: float) -> bool:
         return self._is_at(here_deg, move.legs_deg[move.leg]) and (state.referenced or not move.homing)
