@@ -25,6 +25,7 @@ from gonio_simulators.clock import BenchClock
 HOST = "127.0.0.1"
 _RECEIVE_BYTES = 16384
 _LOOK_S = 1e-3
+_LISTEN_AGAIN_S = 0.1
 
 
 class Conversation(Protocol):
@@ -233,6 +234,7 @@ class TcpPort:
         self._wanted_port = port
         self._port = port
         self._server: asyncio.Server | None = None
+        self._listening: asyncio.Future[None] | None = None
         self._closed = False
         self._client: _TcpClient | None = None
 
@@ -271,12 +273,18 @@ class TcpPort:
         """Let nobody connect for real seconds; the port stays the same."""
         if self._server is not None:
             self._server.close()
-        asyncio.get_running_loop().call_later(duration_s, self._listen_again)
+        asyncio.get_running_loop().call_later(duration_s, self._begin_to_listen_again)
 
-    def _listen_again(self) -> None:
+    def _begin_to_listen_again(self) -> None:
         if not self._closed:
             self._wanted_port = self._port
-            self._starting = asyncio.ensure_future(self.start())
+            self._listening = asyncio.ensure_future(self._listen_again())
+
+    async def _listen_again(self) -> None:
+        try:
+            await self.start()
+        except ConfigError:  # somebody has the number meanwhile
+            asyncio.get_running_loop().call_later(_LISTEN_AGAIN_S, self._begin_to_listen_again)
 
     def restart(self) -> None:
         """Forget what the client has half said and is owed."""
