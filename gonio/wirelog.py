@@ -30,6 +30,9 @@ GAVE_UP = "gave up"
 LOST = "connection lost"
 """Begins the note that the connection broke."""
 
+THREW_AWAY = "threw away"
+"""Begins the note that the bytes just received answer nothing; they may have come long before they were read."""
+
 BROKEN_OFF = "  ... broken off\n"
 """Ends a record that another program left unfinished, so that half of its bytes are not taken for all."""
 

@@ -22,7 +22,7 @@ from typing import TypeVar
 
 from gonio.errors import ConnectionFailed, DeviceError, ReplyError
 from gonio.rig import Context
-from gonio.wirelog import GAVE_UP, LOST
+from gonio.wirelog import GAVE_UP, LOST, THREW_AWAY
 from gonio_drivers.transport import Opener, Port
 from gonio_drivers.wirelog import WireLog
 
@@ -323,7 +323,7 @@ class Line:
         if data:
             self.statistics.stale_bytes += len(data)
             if self.log is not None:
-                self.log.note(f"threw away {data!r}")
+                self.log.note(f"{THREW_AWAY} {data!r}")
 
     def _lost(self, error: Exception) -> ConnectionFailed:
         self._in_doubt = True

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from gonio.wirelog import GAVE_UP, LOST, LineLog
+from gonio.wirelog import GAVE_UP, LOST, THREW_AWAY, LineLog
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +45,7 @@ def exchanges_of(line: LineLog) -> list[Exchange]:
     number, time_s, request = line.records[0].number if line.records else 0, 0.0, b""
     chunks: list[Chunk] = []
     gave_up = lost = False
+    before = ""
 
     def end() -> None:
         if request or chunks or lost:
@@ -60,6 +61,10 @@ def exchanges_of(line: LineLog) -> list[Exchange]:
         else:
             gave_up |= record.text.startswith(GAVE_UP)
             lost |= record.text.startswith(LOST)
+            if record.text.startswith(THREW_AWAY) and before == "<" and len(chunks) > 1 and not gave_up:
+                # Nobody had listened since the reply: found, not just arrived.
+                chunks[-1] = Chunk(chunks[-2].delay_s, chunks[-1].data)
+        before = record.direction
     end()
     return exchanges
 
