@@ -90,7 +90,7 @@ def test_one_read_per_poll(example_bench):
         move(stage, 20.0, 30.0)
         statistics = stage._line.line.statistics
         before = statistics.replies
-        stage.theta_i.position_deg()
+        stage.theta_i._drive.state()
         assert statistics.replies == before + 1
         with pytest.raises(RefusedError, match="blind zone"):
             stage.theta_mes.start(14.0)
