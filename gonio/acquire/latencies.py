@@ -1,8 +1,10 @@
-"""What an exchange with each device, and a record on the disk, really takes: the rig's ``[latency]``, measured.
+"""What an exchange with each device, and a record on the disk, really takes: the rig's ``[latency]``,
+measured.
 
-Nothing is moved but the monochromator and its shutter.  The passes are those of a scan over the sample, so that
-all that a reading costs besides settling and averaging is in the figures: the wire, the device's own delay (on a
-simulated bench what it takes to compute the light), this program, and how late this computer wakes up.
+Nothing is moved but the monochromator and its shutter.  The passes are those of a scan over the sample, so
+that all that a reading costs besides settling and averaging is in the figures: the wire, the device's own
+delay (on a simulated bench what it takes to compute the light), this program, and how late this computer
+wakes up.
 """
 
 from __future__ import annotations
@@ -59,24 +61,28 @@ def measured_latency(rig: Rig, plan: Plan, folder: Path) -> LatencyConfig:
 def _spectrometer_s(rig: Rig, columns: Channels) -> tuple[float, float]:
     """Return the real seconds per exchange of monochromator and lock-in.
 
-    Two passes differ in the number of readings, and so in exchanges with the lock-in alone; what is left of the
-    first belongs to the monochromator.
+    Two passes differ in the number of readings, and so in exchanges with the lock-in alone; what is left of
+    the first belongs to the monochromator.
     """
     spectrometer, config = rig.spectrometer, rig.config.spectrometer
     speed = rig.clock.speed
     reading_s = config.pass_time(columns.wavelength_nm, columns.detector_index, 1).instrument_s
     most = max(2, int(_LONGEST_S * speed / max(reading_s / len(columns), 1e-9)))
     wavelength_nm, detector_index = columns.wavelength_nm[:most], columns.detector_index[:most]
-    ends_nm = np.maximum(wavelength_nm, np.array([d.range_nm[1] for d in config.detectors])[detector_index] - 1.0)
+    ends_nm = np.maximum(
+        wavelength_nm, np.array([d.range_nm[1] for d in config.detectors])[detector_index] - 1.0
+    )
     after = (float(wavelength_nm[-1]), int(detector_index[-1]))
 
     beside = itertools.count()
 
     def one_pass(averages: int) -> Callable[[], SpectrumReading]:
-        # Each pass a little beside the one before: a simulated bench has to compute its light anew, as it must at
-        # every new position of a scan.
+        # Each pass a little beside the one before: a simulated bench has to compute its light anew, as it
+        # must at every new position of a scan.
         return lambda: spectrometer.measure_spectrum(
-            np.clip(wavelength_nm + _BESIDE_NM * next(beside), None, ends_nm), detector_index, averages=averages
+            np.clip(wavelength_nm + _BESIDE_NM * next(beside), None, ends_nm),
+            detector_index,
+            averages=averages,
         )
 
     one_pass(1)()  # finds the amplifier's ranges, and where everything stands
@@ -98,9 +104,9 @@ def _spectrometer_s(rig: Rig, columns: Channels) -> tuple[float, float]:
 def _record_s(rig: Rig, plan: Plan, columns: Channels, folder: Path) -> float:
     """Return the real seconds until a record is safe, from a scan that measures nothing."""
     header = ScanHeader(
-        plan_text=plan.to_toml(), rig_text="", rig=facts_of(rig.config), detector_index=columns.detector_index,
+        plan_text=plan.to_toml(), rig_text="", rig=facts_of(rig.config),
+        detector_index=columns.detector_index, wavelength_nm=columns.wavelength_nm,
         devices={}, program=f"gonio {gonio.__version__}", start_time="", unix_s=0.0,
-        wavelength_nm=columns.wavelength_nm,
     )  # fmt: skip
     nothing = np.zeros(len(columns))
     with tempfile.TemporaryDirectory(prefix=".gonio-latency-", dir=folder) as there:

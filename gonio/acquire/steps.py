@@ -15,8 +15,8 @@ from gonio.store.records import ReferenceKind
 class ReferenceStep:
     """One pass over the wavelengths in the baseline position; a dark's polarization is ``any``.
 
-    `when` is ``start``, ``end`` or ``before K`` with the number of a position; a pass that is `descending` begins
-    at the longest wavelength.
+    `when` is ``start``, ``end`` or ``before K`` with the number of a position; a pass that is `descending`
+    begins at the longest wavelength.
     """
 
     kind: ReferenceKind

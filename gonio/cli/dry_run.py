@@ -23,7 +23,9 @@ _ORDERS_UP_TO = 20_000
 def dry_run(
     plan_file: Path, rig_file: Path | None, *, measure: bool = False, folder: Path | None = None
 ) -> int:
-    """Check every position of a plan; print counts, refusals, the time estimate and what other orders cost."""
+    """Check every position of a plan; print counts, refusals, the time estimate and what other orders
+    cost.
+    """
     rig = load_rig(rig_file)
     plan = load_plan(plan_file)
     here = Path.cwd() if folder is None else folder
@@ -76,8 +78,8 @@ def _print_time(plan: Plan, rig: RigConfig, table: Timetable) -> None:
     twice = len(columns) - len(plan.wavelength_nm)
     averages = sorted(set(np.asarray(columns.averages).tolist()))
     print(
-        f"steps: {plan.n_positions} positions, {table.count('dark')} dark and {table.count('baseline')} baseline "
-        f"readings; {len(columns)} columns"
+        f"steps: {plan.n_positions} positions, {table.count('dark')} dark and {table.count('baseline')} "
+        f"baseline readings; {len(columns)} columns"
         + (f", {twice} wavelengths with both detectors" if twice else "")
         + f"; averages {', '.join(map(str, averages))}"
     )

@@ -1,14 +1,15 @@
-"""Which wavelengths a rig measures for a plan, with which detector, and how many readings it averages at each.
+"""Which wavelengths a rig measures for a plan, with which detector, and how many readings it averages at
+each.
 
-Without overlap there is one column per wavelength, ascending.  With ``overlap_nm`` the wavelengths within that
-distance of a detector change have two, one of either detector, so that their ratio can be seen.  Columns are
-grouped by detector, ascending within each::
+Without overlap there is one column per wavelength, ascending.  With ``overlap_nm`` the wavelengths within
+that distance of a detector change have two, one of either detector, so that their ratio can be seen.  Columns
+are grouped by detector, ascending within each::
 
     wavelength_nm    ... 840 850 860 870 880 | 840 850 860 870 880 ...
     detector_index   ...   0   0   0   0   0 |   1   1   1   1   1 ...
 
-A pass so changes the detector once, as without overlap, and whatever pools or joins neighbours of one detector
-finds them side by side.
+A pass so changes the detector once, as without overlap, and whatever pools or joins neighbours of one
+detector finds them side by side.
 """
 
 from __future__ import annotations
@@ -66,8 +67,8 @@ def channels(plan: Plan, rig: RigConfig) -> Channels:
             mine |= (own == index + 1) & (asked_nm <= change_nm + plan.overlap_nm + 1e-9)
         picked.append(np.flatnonzero(mine))
     column = np.concatenate(picked)
-    index = np.repeat(np.arange(len(detectors), dtype=np.uint8), [len(part) for part in picked])
-    return Channels(asked_nm[column], index, averages[column])
+    detector_index = np.repeat(np.arange(len(detectors), dtype=np.uint8), [len(part) for part in picked])
+    return Channels(asked_nm[column], detector_index, averages[column])
 
 
 def _averages(plan: Plan, rig: RigConfig) -> NDArray[np.uint32]:

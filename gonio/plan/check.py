@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from gonio.devices import FloatArray
 from gonio.errors import RefusedError
 from gonio.plan.model import Plan, Position
 from gonio.plan.motion import Angles

@@ -27,7 +27,9 @@ def position_columns(path: Path) -> dict[str, Any]:
     try:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
-        raise ConfigError(f"{path}: there is no such file; give its path as seen from the plan file") from None
+        raise ConfigError(
+            f"{path}: there is no such file; give its path as seen from the plan file"
+        ) from None
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read ({error}); save it as CSV in UTF-8") from None
     lines = [
@@ -63,7 +65,9 @@ def _check_header(path: Path, header: list[str]) -> None:
         if name not in COLUMNS:
             near = difflib.get_close_matches(name, COLUMNS, n=1, cutoff=0.5)
             hint = f"did you mean '{near[0]}'? " if near else ""
-            raise ConfigError(f"{path}: '{name}' is an unknown column; {hint}known columns: {', '.join(COLUMNS)}")
+            raise ConfigError(
+                f"{path}: '{name}' is an unknown column; {hint}known columns: {', '.join(COLUMNS)}"
+            )
         if header.count(name) > 1:
             raise ConfigError(f"{path}: the column {name} is there twice; remove one")
     for name in COLUMNS[:2]:
@@ -75,8 +79,8 @@ def _value(path: Path, number: int, name: str, cell: str) -> float | str:
     if name == "polarization":
         if cell not in ("s", "p"):
             raise ConfigError(
-                f"{path}: line {number}: polarization = '{cell}' must be s or p; leave the whole column out to "
-                "measure every position in each polarization of the plan"
+                f"{path}: line {number}: polarization = '{cell}' must be s or p; leave the whole column "
+                "out to measure every position in each polarization of the plan"
             )
         return cell
     try:

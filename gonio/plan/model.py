@@ -58,7 +58,9 @@ class Position:
 
 
 class Plan(PlanTable):
-    """A validated `plan.toml`; all of it has a default but `wavelengths` and one of `sweeps` and `positions`."""
+    """A validated `plan.toml`; all of it has a default but `wavelengths` and one of `sweeps` and
+    `positions`.
+    """
 
     title: str = "Goniospectrophotometer scan"
     polarization: Annotated[
@@ -127,12 +129,10 @@ class Plan(PlanTable):
         seen: dict[Place, str] = {}
         for where, place in self._places_as_written():
             if place in seen:
-                table, _, row = where.partition(" ")
-                of = f" {place.polarization.upper()}," if row else ""
                 raise ValueError(
-                    f"{where}:{of} theta_i = {place.theta_i_deg:g} deg, theta_mes = {place.theta_mes_deg:g} deg "
-                    f"is already in {seen[place]}; list each position once, and use [repeats] count to measure "
-                    "it several times"
+                    f"{where}: theta_i = {place.theta_i_deg:g} deg, theta_mes = {place.theta_mes_deg:g} "
+                    f"deg is already in {seen[place]}; list each position once, and use [repeats] count to "
+                    "measure it several times"
                 )
             if place.polarization not in self.polarization:
                 raise ValueError(
@@ -149,12 +149,12 @@ class Plan(PlanTable):
                 for theta_mes in theta_mes_deg:
                     yield f"sweeps[{number}]", Place(sweep.theta_i_deg, theta_mes, polarization)
         for number, entry in enumerate(self.positions_listed, start=1):
-            for polarization in self.polarization if entry.polarization is None else (None,):
-                for row, (theta_i, theta_mes) in enumerate(
-                    zip(entry.theta_i_deg, entry.theta_mes_deg, strict=True)
-                ):
-                    here = polarization or (entry.polarization or self.polarization)[row]
-                    yield f"positions[{number}] row {row + 1}", Place(theta_i, theta_mes, here)
+            angles = list(zip(entry.theta_i_deg, entry.theta_mes_deg, strict=True))
+            given = entry.polarization
+            passes = [given] if given is not None else [(each,) * len(angles) for each in self.polarization]
+            for polarizations in passes:
+                for row, (pair, polarization) in enumerate(zip(angles, polarizations, strict=True), start=1):
+                    yield f"positions[{number}] row {row}", Place(*pair, polarization)
 
     @property
     def wavelength_nm(self) -> FloatArray:

@@ -1,7 +1,7 @@
 """How long the axes take from one position to the next, and what that costs on the wire.
 
-The rule of the approach is that of the drivers: every target is reached in the direction towards zero, with an
-overshoot by the backlash if the axis does not come from that side anyway, and directly where the overshoot
+The rule of the approach is that of the drivers: every target is reached in the direction towards zero, with
+an overshoot by the backlash if the axis does not come from that side anyway, and directly where the overshoot
 would leave the limits.  Both axes move at once; the slower one counts.
 """
 

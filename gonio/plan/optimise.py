@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Literal
 
 from gonio.plan.model import Plan
 from gonio.plan.motion import move_time
@@ -19,6 +19,8 @@ from gonio.plan.tables import DEFAULT_NESTING, Axis, Order
 from gonio.plan.timetable import estimate
 from gonio.rig import RigConfig
 
+_KINDS: tuple[Literal["nested", "serpentine"], ...] = ("nested", "serpentine")
+_TO_AND_FRO = {"alternate_wavelengths": True}
 _NESTINGS: tuple[tuple[Axis, Axis, Axis], ...] = tuple(itertools.permutations(DEFAULT_NESTING))  # type: ignore[arg-type]
 
 
@@ -50,39 +52,44 @@ def describe(order: Order) -> str:
 def resolved(plan: Plan, rig: RigConfig) -> Plan:
     """Return the plan with ``kind = "optimised"`` replaced by the order that takes this rig least time.
 
-    Any other plan is returned as it is.  The stored plan is the resolved one, so a scan that is resumed keeps its
-    order even if the rig file has changed since.
+    Any other plan is returned as it is.  The stored plan is the resolved one, so a scan that is resumed keeps
+    its order even if the rig file has changed since.
     """
     if plan.order.kind != "optimised":
         return plan
-    best = min(_candidates(), key=lambda order: _travel_s(_with_order(plan, order), rig))
-    return _with_order(plan, best.model_copy(update={"alternate_wavelengths": True}))
+    orders = [order.model_copy(update=_TO_AND_FRO) for order in _shortlist(plan, rig)]
+    best = min(orders, key=lambda order: estimate(_with_order(plan, order), rig))
+    return _with_order(plan, best)
 
 
 def order_costs(plan: Plan, rig: RigConfig) -> list[OrderCost]:
     """Return the plan's own order first, then the others that are worth a look, each with its time.
 
-    For each axis that may change fastest: all loops the same way, and to and fro, whichever nesting of the other
-    two and direction of the detector arm is faster.  Each of the best loops then with the wavelengths to and fro.
+    For each axis that may change fastest: all loops the same way, and to and fro, whichever nesting of the
+    other two and direction of the detector arm is faster.  Each of the best loops then with the wavelengths
+    to and fro.
     """
     own = resolved(plan, rig)
     found = [OrderCost(own.order, estimate(own, rig))]
-    by_travel = {order: _travel_s(_with_order(plan, order), rig) for order in _candidates()}
-    for kind, axis in itertools.product(("nested", "serpentine"), DEFAULT_NESTING):
-        same = [
-            order for order in by_travel if order.kind == kind and order.nesting and order.nesting[-1] == axis
-        ]
-        best = min(same, key=by_travel.__getitem__)
-        for alternate in (False, True):
-            order = best.model_copy(update={"alternate_wavelengths": alternate})
-            if order != own.order:
-                found.append(OrderCost(order, estimate(_with_order(plan, order), rig)))
+    short = _shortlist(plan, rig)
+    others = [*short, *(order.model_copy(update=_TO_AND_FRO) for order in short)]
+    found.extend(
+        OrderCost(order, estimate(_with_order(plan, order), rig)) for order in others if order != own.order
+    )
     return [found[0], *sorted(found[1:], key=lambda cost: cost.total_s)]
 
 
-def _candidates() -> Iterator[Order]:
-    for kind, nesting, descending in itertools.product(("nested", "serpentine"), _NESTINGS, (False, True)):
-        yield Order(kind=kind, nesting=nesting, descending=descending)
+def _shortlist(plan: Plan, rig: RigConfig) -> list[Order]:
+    """Return the order with the least travel for each way of running the loops and each innermost axis."""
+    found: list[Order] = []
+    for kind, axis in itertools.product(_KINDS, DEFAULT_NESTING):
+        same = [
+            Order(kind=kind, nesting=nesting, descending=descending)
+            for nesting, descending in itertools.product(_NESTINGS, (False, True))
+            if nesting[-1] == axis
+        ]
+        found.append(min(same, key=lambda order: _travel_s(_with_order(plan, order), rig)))
+    return found
 
 
 def _with_order(plan: Plan, order: Order) -> Plan:

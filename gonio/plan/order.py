@@ -8,8 +8,8 @@
 ``serpentine``
     The same, to and fro: each loop begins where the one before it ended, so that nothing travels back empty.
 ``random``
-    Shuffled, polarizations too, from the stored seed: a drift of the bench then looks like noise and not like a
-    dependence on an angle.
+    Shuffled, polarizations too, from the stored seed: a drift of the bench then looks like noise and not like
+    a dependence on an angle.
 ``optimised``
     Whichever of these loops takes the rig least time; `gonio.plan.optimise.resolved` puts it in, and until a
     rig is known it is ``serpentine``.
@@ -66,8 +66,8 @@ def _arranged(places: Sequence[Place], order: Order, rng: np.random.Generator) -
 def _nested(
     places: Sequence[Place], nesting: Sequence[Axis], *, serpentine: bool, descending: bool
 ) -> list[Place]:
-    """Order by the first axis of `nesting`, within its groups by the next: detector angles by size, the others
-    as they are listed.
+    """Order by the first axis of `nesting`, within its groups by the next: detector angles by size, the
+    others as they are listed.
     """
     axis, inner = nesting[0], nesting[1:]
     groups: dict[float | str, list[Place]] = {}
@@ -75,7 +75,7 @@ def _nested(
         groups.setdefault(place[_COLUMN[axis]], []).append(place)
     values = list(groups)
     if axis == "theta_mes":
-        values.sort(reverse=descending)  # type: ignore[arg-type]
+        values.sort(reverse=descending)
     found: list[Place] = []
     for number, value in enumerate(values):
         group = groups[value]

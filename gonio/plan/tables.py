@@ -1,4 +1,6 @@
-"""The tables of a plan file: what each key is called, which values it may have, and what is wrong with others."""
+"""The tables of a plan file: what each key is called, which values it may have, and what is wrong with
+others.
+"""
 
 from __future__ import annotations
 
@@ -27,9 +29,9 @@ def refuse_out_of_plane(keys: Mapping[str, Any] | list[str]) -> None:
     for key in keys:
         if key in _OUT_OF_PLANE:
             raise ValueError(
-                f"{key} asks for a direction outside the plane of incidence, which this instrument cannot "
-                "measure: its two axes turn the sample (theta_i_deg) and the detector arm (theta_mes_deg) in "
-                "one plane, phi_o = 0 deg on the specular side (theta_mes > theta_i) and 180 deg on the other "
+                f"{key} asks for a direction outside the plane of incidence, which this instrument "
+                "cannot measure: its two axes turn the sample (theta_i_deg) and the detector arm "
+                "(theta_mes_deg) in one plane, phi_o = 0 deg on the specular side (theta_mes > theta_i) and 180 deg on the other "
                 f"(theta_mes < theta_i); leave {key} out and give theta_i_deg and theta_mes_deg"
             )
 
@@ -112,7 +114,9 @@ class WavelengthRange(PlanTable):
         return grid_values(self.values_nm, self.start_nm, self.stop_nm, self.step_nm)
 
 
-_ONE_OF_BOTH = "give either averages (a number of readings) or integration_s (a time that they fill), not both"
+_ONE_OF_BOTH = (
+    "give either averages (a number of readings) or integration_s (a time that they fill), not both"
+)
 
 
 class Angles(PlanTable):
@@ -207,7 +211,9 @@ class PositionList(PlanTable):
         if not self.theta_i_deg:
             raise ValueError("lists no position; give theta_i_deg and theta_mes_deg, or file")
         if len(self.theta_i_deg) > MAX_VALUES * 10:
-            raise ValueError(f"lists {len(self.theta_i_deg)} positions, more than {MAX_VALUES * 10}; divide it")
+            raise ValueError(
+                f"lists {len(self.theta_i_deg)} positions, more than {MAX_VALUES * 10}; divide it"
+            )
         return self
 
 
@@ -308,7 +314,9 @@ class Order(PlanTable):
         if self.seed is not None and self.kind != "random":
             raise ValueError(f"seed has no meaning with kind = '{self.kind}'; it needs 'random'")
         if self.nesting is not None and sorted(self.nesting) != sorted(DEFAULT_NESTING):
-            raise ValueError("nesting must name theta_i, polarization and theta_mes once each, the slowest first")
+            raise ValueError(
+                "nesting must name theta_i, polarization and theta_mes once each, the slowest first"
+            )
         return self
 
 

@@ -1,8 +1,9 @@
 """What is done when: the references and positions of a plan in their order, and how long each takes on a rig.
 
-A step is a move of the axes, a turn of the polarizer where it is due, a pass over the wavelengths, a look whether
-all stood still, and a record on the disk, which is written while the axes move on.  Its time has two parts: instrument seconds (motion, settling, averaging) and real seconds (wires and
-disk, from the rig's ``[latency]``).  They differ on a simulated bench whose clock runs fast.
+A step is a move of the axes, a turn of the polarizer where it is due, a pass over the wavelengths, a look
+whether all stood still, and a record on the disk, which is written while the axes move on.  Its time has two
+parts: instrument seconds (motion, settling, averaging) and real seconds (wires and disk, from the rig's
+``[latency]``).  They differ on a simulated bench whose clock runs fast.
 
 Not counted: homing, and the way to the first step, since nobody knows where the axes stand.
 """
@@ -26,12 +27,17 @@ from gonio.rig import RigConfig
 ReferencePolarization = Literal["any", "s", "p"]
 
 _TURN_EXCHANGES = 3  # where it stands, the turn, where it stands then
-_STILL = {"stage": 2, "polarizer": 1}  # exchanges that prove, behind a pass, that nothing has turned meanwhile
+_STILL = {
+    "stage": 2,
+    "polarizer": 1,
+}  # exchanges that prove, behind a pass, that nothing has turned meanwhile
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedReference:
-    """A dark or baseline reading; `when` is ``start``, ``end`` or ``before K`` with the number of a position."""
+    """A dark or baseline reading; `when` is ``start``, ``end`` or ``before K`` with the number of a
+    position.
+    """
 
     kind: Kind
     when: str
@@ -84,9 +90,7 @@ class Timetable:
         return sum(isinstance(task, PlannedReference) and task.kind == kind for task in tasks)
 
 
-def reference_sequence(
-    plan: Plan, when: Literal["start", "end"]
-) -> list[tuple[Kind, ReferencePolarization]]:
+def reference_sequence(plan: Plan, when: Literal["start", "end"]) -> list[tuple[Kind, ReferencePolarization]]:
     """Return the reference readings due at `when` as (kind, polarization), in measuring order.
 
     The dark signal has no polarization (the shutter is closed): it is taken once, for ``any``.
@@ -122,12 +126,12 @@ def _with_periodic(plan: Plan, model: _Model) -> Iterator[PlannedStep]:
     every = references.every_positions or np.inf
     since_s, since = 0.0, 0
     for position in plan.positions():
-        if since and (since >= every or since_s + model.sample_pass_s() > every_s) and kinds:
+        if since and kinds and (since >= every or since_s + model.seconds(model.next(position)) > every_s):
             for task in _periodic(plan, kinds, position, model.polarization):
                 yield model.step(task)
             since_s, since = 0.0, 0
         step = model.step(position)
-        since_s += step.instrument_s + step.real_s * model.clock_speed
+        since_s += model.seconds(step)
         since += 1
         yield step
 
@@ -161,41 +165,46 @@ class _Model:
         self._pass_time = functools.cache(self._pass_time_of)
         self._move_time = functools.cache(self._move_time_of)
 
-    def sample_pass_s(self) -> float:
-        """Return the duration of the next pass over the sample, without the way to its position."""
-        instrument_s, real_s = self._pass_time(self._after, False, "sample", False)
-        return instrument_s + real_s * self.clock_speed
+    def seconds(self, step: PlannedStep) -> float:
+        """Return the duration of a step on the instrument's clock."""
+        return step.instrument_s + step.real_s * self.clock_speed
 
     def step(self, task: Task) -> PlannedStep:
         """Return a step and stand where it ends."""
-        beam: Beam
-        if isinstance(task, Position):
-            beam, angles = "sample", (task.theta_i_deg, task.theta_mes_deg)
-        else:
-            baseline = self._rig.baseline
-            beam = "dark" if task.kind == "dark" else "direct"
-            angles = (baseline.theta_i_deg, baseline.theta_mes_deg)
-        move_s, real_s = self._move_time(self._at or angles, angles)
-        instrument_s = move_s
-        if task.polarization != "any" and task.polarization != self.polarization:
-            # the first one too: where the rotator stands after homing is as good as elsewhere
-            instrument_s += self._rig.polarizer.turn_s
-            real_s += self._rig.latency.of({"polarizer": _TURN_EXCHANGES})
+        found = self.next(task)
+        self._at = self._angles_of(task)
+        self._seen.add(_beam_of(task))
+        self._passes += 1
+        if task.polarization != "any":
             self.polarization = task.polarization
-        descending = self._plan.order.alternate_wavelengths and self._passes % 2 == 1
-        pass_s, pass_real_s = self._pass_time(self._after, descending, beam, beam not in self._seen)
-        last = 0 if descending else -1
-        self._at, self._seen, self._passes = angles, self._seen | {beam}, self._passes + 1
+        last = 0 if found.descending else -1
         self._after = (
             float(self._channels.wavelength_nm[last]), int(self._channels.detector_index[last])
         )  # fmt: skip
-        latency = self._rig.latency
+        return found
+
+    def next(self, task: Task) -> PlannedStep:
+        """Return what a step would cost from here."""
+        angles, beam, latency = self._angles_of(task), _beam_of(task), self._rig.latency
+        move_s, real_s = self._move_time(self._at or angles, angles)
+        instrument_s = move_s
+        if task.polarization not in ("any", self.polarization):
+            # the first one too: where the rotator stands after homing is as good as elsewhere
+            instrument_s += self._rig.polarizer.turn_s
+            real_s += latency.of({"polarizer": _TURN_EXCHANGES})
+        descending = self._plan.order.alternate_wavelengths and self._passes % 2 == 1
+        pass_s, pass_real_s = self._pass_time(self._after, descending, beam, beam not in self._seen)
         real_s += pass_real_s + latency.of(_STILL)
         if isinstance(task, Position):  # the axes are on their way to the next one while it is stored
             real_s += max(0.0, latency.record_s - move_s / self.clock_speed)
         else:
             real_s += latency.record_s
         return PlannedStep(task, descending, instrument_s + pass_s, real_s)
+
+    def _angles_of(self, task: Task) -> Angles:
+        if isinstance(task, Position):
+            return task.theta_i_deg, task.theta_mes_deg
+        return self._rig.baseline.theta_i_deg, self._rig.baseline.theta_mes_deg
 
     def _move_time_of(self, start: Angles, end: Angles) -> tuple[float, float]:
         found = move_time(self._rig, start, end)
@@ -216,6 +225,12 @@ class _Model:
             beam=beam, after=after, first=first,
         )  # fmt: skip
         return found.instrument_s, self._rig.latency.of(found.exchanges)
+
+
+def _beam_of(task: Task) -> Beam:
+    if isinstance(task, Position):
+        return "sample"
+    return "dark" if task.kind == "dark" else "direct"
 
 
 def estimate(plan: Plan, rig: RigConfig) -> float:

@@ -120,7 +120,8 @@ def test_the_estimate_is_the_sum_of_passes_and_the_slower_axis_of_each_move() ->
     # baseline (90, 180) to (20, 15): 7.0 s and 8.25 + 0.5 s; 20 deg: 1.5 s three times; (20, 35) back:
     # 7.0 and 7.75 s
     motion = 8.75 + 3 * 1.5 + 7.75
-    assert estimate(plan, rig) == pytest.approx(passes + motion, rel=1e-6)
+    turns = 6 * rig.polarizer.turn_s  # s, p for the baselines, s, p for the positions, s, p at the end
+    assert estimate(plan, rig) == pytest.approx(passes + motion + turns, rel=1e-6)
 
 
 def test_references_only_at_one_end_cost_only_there() -> None:
@@ -128,7 +129,7 @@ def test_references_only_at_one_end_cost_only_there() -> None:
     both = estimate(a_plan("[15.0]"), rig)
     start = estimate(a_plan("[15.0]", more='[references]\ndark = ["start"]\nbaseline = ["start"]\n'), rig)
     back_s = max(rig.stage.theta_i.move_duration_s(70.0), rig.stage.theta_mes.move_duration_s(165.0))
-    assert both - start == pytest.approx(3 * 4 * 1.0 + back_s)
+    assert both - start == pytest.approx(3 * 4 * 1.0 + back_s + 2 * rig.polarizer.turn_s)
 
 
 def test_the_estimate_of_the_papers_plan_is_dominated_by_its_readings() -> None:
