@@ -198,11 +198,15 @@ class AppliedMotionDrive:
         self._referenced = True
 
     def resume(self) -> None:
-        """Find out whether the drive was switched off, and set its speeds again."""
+        """Find out whether the drive was switched off, and if so set its speeds again.
+
+        Otherwise nothing is written: a mark or a profile written to a drive that was switched off just after
+        the question would hide that it was.
+        """
         if self.confirm() is not None:
             self._referenced = False
-        self._set_speeds()
-        self._marks = self._keeps_mark()
+            self._set_speeds()
+            self._marks = self._keeps_mark()
 
     def confirm(self) -> str | None:
         """Look for the mark: a drive that was switched off counts from zero again, wherever it stands."""

@@ -162,10 +162,16 @@ class RegisterDrive:
         self._line.line.query(lambda: self._give(self._map.stop))
 
     def resume(self) -> None:
-        """Find out whether the drive was switched off, and set it up again."""
-        if self.confirm() is not None:
+        """Find out whether the drive was switched off, and set it up again.
+
+        One that forgot nothing is left as it is: what is written to a drive that was switched off just after
+        the question would hide that it was.
+        """
+        forgotten = self.confirm() is not None
+        if forgotten:
             self._referenced = False
-        self._set_up()
+        if forgotten or self.reports_reference:
+            self._set_up()
 
     def confirm(self) -> str | None:
         """Look for what a drive that was switched off has forgotten: the mark, or speed and accelerations."""
