@@ -49,8 +49,10 @@ def parse_toml(text: str, *, source: str) -> dict[str, Any]:
     """Return the tables of TOML text; `source` names it in messages."""
     try:
         return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # TOMLDecodeError, and a number of thousands of digits
         raise ConfigError(f"{source}: is not valid TOML: {error}; correct that line") from None
+    except RecursionError:
+        raise ConfigError(f"{source}: is not valid TOML: nested a thousand deep; correct it") from None
 
 
 def validate(model: type[Model], table: Mapping[str, Any], *, source: str, prefix: str = "") -> Model:
