@@ -89,6 +89,7 @@ class Material:
         Where the fit found no lobe, rho_s is 0 and alpha and n2 are placeholders.  A negative rho_d or rho_s,
         as noise may give, is set to 0: a surface cannot reflect less than nothing.
         """
+        fit = fit.only(fit.home)  # one value where two detectors measured a wavelength
         rho_d, rho_s, alpha, n2 = fit.value.T
         # a lobe whose rho_s and n2 cannot be told apart has no reflection at other incidences
         undetermined = np.isfinite(rho_d) & ~np.isfinite(rho_s)

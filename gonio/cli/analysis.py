@@ -39,7 +39,11 @@ def fit_table(scan: Scan, result: FitResult) -> str:
     """Return the printed table of a fit, beside the sphere and (on the simulated bench) the truth, where
     stored.
     """
-    return result.table(truth=_columns(scan.path, "simulated_truth"), sphere=_columns(scan.path, "sphere"))
+    return result.table(
+        truth=_columns(scan.path, "simulated_truth"),
+        sphere=_columns(scan.path, "sphere"),
+        detector_names=scan.detector_names,
+    )
 
 
 def _columns(path: Path, group: str) -> dict[str, FloatArray] | None:

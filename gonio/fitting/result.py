@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -15,6 +15,7 @@ from gonio import fresnel
 from gonio.aperture import Aperture, ApertureName
 from gonio.brdf.models import lobe_above_horizon, lobe_above_horizon_dlog_alpha
 from gonio.fitting.problem import Problem
+from gonio.overlap import home
 
 FloatArray = NDArray[np.float64]
 ApertureModel = ApertureName
@@ -23,6 +24,10 @@ IntervalMethod = Literal["wald", "nlparci"]
 
 PARAMETERS = ("rho_d", "rho_s", "alpha", "n2")
 CONFIDENCE = 0.95
+_PER_WAVELENGTH = (
+    "wavelength_nm", "detector_index", "value", "se", "lower", "upper", "covariance", "basic",
+    "basic_covariance", "chi2", "dof", "rms", "condition",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,6 +192,18 @@ class FitResult:
         )
 
     @property
+    def home(self) -> NDArray[np.bool_]:
+        """Mask (m,) that keeps each wavelength once where two detectors measured it; see `gonio.overlap`."""
+        return home(self.wavelength_nm, self.detector_index)
+
+    def only(self, columns: NDArray[np.bool_]) -> FitResult:
+        """Return the result at some of the wavelengths, given as a mask (m,)."""
+        along = {name: getattr(self, name)[columns] for name in _PER_WAVELENGTH}
+        across = {name: getattr(self, name)[:, columns] for name in ("residual", "sigma")}
+        notes = tuple(note for note, keep in zip(self.notes, columns.tolist(), strict=True) if keep)
+        return replace(self, **along, **across, notes=notes)
+
+    @property
     def quantile(self) -> FloatArray:
         """Student's t for the two-sided 95 % interval, (m,)."""
         dof = np.where(self.dof > 0, self.dof, np.nan)
@@ -198,11 +215,12 @@ class FitResult:
         *,
         truth: Mapping[str, FloatArray] | None = None,
         sphere: Mapping[str, FloatArray] | None = None,
+        detector_names: Sequence[str] = (),
     ) -> str:
         """Return a printable table by wavelength band; see `gonio.fitting.table.band_table`."""
         from gonio.fitting.table import band_table
 
-        return band_table(self, bands, truth=truth, sphere=sphere)
+        return band_table(self, bands, truth=truth, sphere=sphere, detector_names=detector_names)
 
     def save(self, path: Path | str, name: str | None = None) -> str:
         """Store in a scan file as ``/entry/fit_NAME``, replacing one of that name; return NAME.

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.fitting.ratios import detector_ratios
+
 if TYPE_CHECKING:
     from gonio.fitting.result import FitResult
 
@@ -28,6 +30,7 @@ def band_table(
     *,
     truth: Mapping[str, FloatArray] | None = None,
     sphere: Mapping[str, FloatArray] | None = None,
+    detector_names: Sequence[str] = (),
 ) -> str:
     """Return the table.
 
@@ -39,13 +42,17 @@ def band_table(
     truth, sphere
         Columns over ``wavelength_nm``: `truth` any of the parameters and coefficients, `sphere` ``k_g`` and,
         if known, its standard uncertainty ``k_g_u``.  They are interpolated to the fit's wavelengths.
+    detector_names
+        For the comparison of detectors where two measured the same wavelengths, in the rig file's order.
 
     Notes
     -----
     An entry is the plain mean over the band's wavelengths ± half its 95 % interval, the wavelengths being
     independent: each has its own readings, baseline and dark.  The sphere's uncertainty is taken as common to
-    the band.
+    the band.  A wavelength that two detectors measured counts once, with the detector on whose side of the
+    change it lies; their ratio stands below the table.
     """
+    whole, fit = fit, fit.only(fit.home)
     columns = _columns(fit)
     rows = _rows(fit, BANDS if bands is None else bands)
     lines: list[str] = []
@@ -56,7 +63,10 @@ def band_table(
         f"mean ± half its 95 % interval; k at {THETA_I_DEG:g} deg, S/P mean, lobe above the horizon; "
         f"aperture '{fit.aperture}', polarization '{fit.polarization}'"
     )
-    lines.extend(_remarks(fit))
+    ratios = detector_ratios(whole)
+    if ratios:
+        lines += ["detectors where both measured:", *(f"  {ratio.text(detector_names)}" for ratio in ratios)]
+    lines.extend(_remarks(whole))
     return "\n".join(lines)
 
 

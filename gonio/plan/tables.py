@@ -31,8 +31,9 @@ def refuse_out_of_plane(keys: Mapping[str, Any] | list[str]) -> None:
             raise ValueError(
                 f"{key} asks for a direction outside the plane of incidence, which this instrument "
                 "cannot measure: its two axes turn the sample (theta_i_deg) and the detector arm "
-                "(theta_mes_deg) in one plane, phi_o = 0 deg on the specular side (theta_mes > theta_i) and 180 deg on the other "
-                f"(theta_mes < theta_i); leave {key} out and give theta_i_deg and theta_mes_deg"
+                "(theta_mes_deg) in one plane, phi_o = 0 deg on the specular side (theta_mes > theta_i) "
+                f"and 180 deg on the other (theta_mes < theta_i); leave {key} out and give theta_i_deg and "
+                "theta_mes_deg"
             )
 
 

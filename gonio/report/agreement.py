@@ -96,6 +96,7 @@ def compare(content: Content, fit: FitResult) -> Comparison | None:
     sphere = sphere_of(content)
     if sphere is None:
         return None
+    fit = fit.only(fit.home)
     k_g = fit.hemispherical(theta_i_deg=SPHERE_THETA_I_DEG).k_g
     wavelength_nm = np.asarray(fit.wavelength_nm, dtype=np.float64)
     reference = _interpolate(wavelength_nm, sphere.wavelength_nm, sphere.value)
@@ -130,11 +131,12 @@ def _by_detector(
     edges = [-np.inf, *scan.detector_change_nm, np.inf]
     ranges = []
     for low, high in itertools.pairwise(edges):
-        inside = (wavelength_nm > low) & (wavelength_nm <= high)
+        inside = (wavelength_nm >= low) & (wavelength_nm < high)
         known = inside & np.isfinite(e_n)
         if not np.any(known):
             continue
-        nearest = int(np.argmin(np.abs(scan.wavelength_nm - wavelength_nm[known][0])))
+        own_nm = np.where(scan.home, scan.wavelength_nm, np.inf)
+        nearest = int(np.argmin(np.abs(own_nm - wavelength_nm[known][0])))
         ranges.append(
             Range(
                 detector=scan.detector_names[int(scan.detector_index[nearest])],

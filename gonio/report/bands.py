@@ -14,10 +14,11 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from gonio.fitting.ratios import detector_ratios
 from gonio.fitting.table import BANDS
 from gonio.report.agreement import SPHERE_THETA_I_DEG, sphere_of
 from gonio.report.content import Content
-from gonio.report.page import MISSING, Block, Table, Tile, number, with_uncertainty
+from gonio.report.page import MISSING, Block, Table, Text, Tile, number, with_uncertainty
 
 if TYPE_CHECKING:
     from gonio.fitting import FitResult
@@ -39,13 +40,17 @@ def bands(wavelength_nm: FloatArray, changes_nm: tuple[float, ...]) -> list[NDAr
     """Return the indices of the wavelengths in each band, none across a detector change."""
     edges = [low for low, _ in BANDS] + [np.nextafter(BANDS[-1][1], np.inf)]  # the last band includes its end
     number_of_band = np.searchsorted(edges, wavelength_nm, side="right")
-    number_of_detector = np.searchsorted(np.asarray(changes_nm, dtype=np.float64), wavelength_nm)
+    number_of_detector = np.searchsorted(
+        np.asarray(changes_nm, dtype=np.float64), wavelength_nm, side="right"
+    )
     keys = sorted(set(zip(number_of_band.tolist(), number_of_detector.tolist(), strict=True)))
     return [np.flatnonzero((number_of_band == b) & (number_of_detector == d)) for b, d in keys]
 
 
 def band_table(content: Content, fit: FitResult) -> list[Block]:
     """Return the table of all parameters and coefficients by band."""
+    ratios = detector_ratios(fit)
+    fit = fit.only(fit.home)
     wavelength_nm = np.asarray(fit.wavelength_nm, dtype=np.float64)
     columns = _columns(fit)
     sphere = sphere_of(content)
@@ -77,7 +82,19 @@ def band_table(content: Content, fit: FitResult) -> list[Block]:
         "aperture's distance or the alignment, are not in it. No band spans a detector change. k at "
         "{:g}° incidence, mean of S and P, lobe above the horizon."
     ).format(SPHERE_THETA_I_DEG)
-    return [Table(head, rows, note)]
+    blocks: list[Block] = [Table(head, rows, note)]
+    if ratios:
+        names = content.scan.detector_names
+        blocks.append(
+            Text(
+                "Where two detectors measured the same wavelengths, each has its own fit, and a band counts "
+                "the one on whose side of the change a wavelength lies. "
+                + "; ".join(r.text(names) for r in ratios)
+                + ". A ratio off 1 beyond its interval is a gain that does not cancel between sample and "
+                "baseline."
+            )
+        )
+    return blocks
 
 
 def _true(content: Content, name: str, wavelength_nm: FloatArray) -> str:
@@ -94,6 +111,7 @@ def _e_n(value: float) -> str:
 
 def summary_tiles(fit: FitResult) -> list[Tile]:
     """Return k_d, k_s, k_g and n2 averaged over the visible, or over everything if nothing is visible."""
+    fit = fit.only(fit.home)
     wavelength_nm = np.asarray(fit.wavelength_nm, dtype=np.float64)
     inside = np.flatnonzero((wavelength_nm >= VISIBLE_NM[0]) & (wavelength_nm <= VISIBLE_NM[1]))
     where = f"{VISIBLE_NM[0]:g}–{VISIBLE_NM[1]:g} nm"

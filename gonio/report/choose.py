@@ -77,9 +77,10 @@ def with_gaps(scan: Scan, rows: NDArray[np.intp], value: FloatArray) -> tuple[Fl
 
 
 def change_texts(scan: Scan) -> list[str]:
-    """Return the wavelengths on either side of each detector change, as ``850–860 nm``."""
+    """Return the wavelengths on either side of each detector change, or of the overlap, as ``850–860 nm``."""
     last = np.flatnonzero(np.diff(scan.detector_index.astype(np.int16)) != 0)
-    return [f"{scan.wavelength_nm[i]:g}–{scan.wavelength_nm[i + 1]:g} nm" for i in last]
+    sides = [sorted(scan.wavelength_nm[i : i + 2].tolist()) for i in last]
+    return [f"{low:g}–{high:g} nm" for low, high in sides]
 
 
 def name_of(polarization: str) -> str:

@@ -41,7 +41,10 @@ def draw_residuals(content: Content, model: Model) -> style.Drawing:
         if rows.size == 0:
             continue
         # a blank column at each detector change, so that neither side's cell reaches across
-        wavelength_nm, columns = style.broken(scan.wavelength_nm, *relative, at=scan.detector_change_nm)
+        once = scan.home  # a map has one column per wavelength, also where two detectors measured it
+        wavelength_nm, columns = style.broken(
+            scan.wavelength_nm[once], *relative[:, once], at=scan.detector_change_nm
+        )
         cells = np.array(columns)
         mesh = axes.pcolormesh(
             _edges(wavelength_nm),

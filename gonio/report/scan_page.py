@@ -110,7 +110,10 @@ def _lead(content: Content) -> str:
 def _wavelengths(wavelength_nm: Sequence[float]) -> str:
     if len(wavelength_nm) == 1:
         return f"one wavelength, {wavelength_nm[0]:g} nm"
-    return f"{len(wavelength_nm)} wavelengths from {wavelength_nm[0]:g} to {wavelength_nm[-1]:g} nm"
+    once = set(wavelength_nm)
+    twice = len(wavelength_nm) - len(once)
+    text = f"{len(once)} wavelengths from {min(once):g} to {max(once):g} nm"
+    return text + (f", {twice} of them with two detectors" if twice else "")
 
 
 def _caveats(content: Content) -> list[str]:
@@ -226,7 +229,8 @@ def _notes(fit: FitResult | None) -> list[Block]:
             kinds.setdefault(kind, (part, []))[1].append(wavelength_nm)
     if not kinds:
         return [Text("The fit has nothing to remark: every parameter is determined at every wavelength.")]
-    step = float(np.min(np.diff(fit.wavelength_nm))) if fit.wavelength_nm.size > 1 else 0.0
+    once_nm = np.unique(fit.wavelength_nm)
+    step = float(np.min(np.diff(once_nm))) if once_nm.size > 1 else 0.0
     items = [
         f"{_ranges(at, step)}: {part}" + (f" (at {at[0]:g} nm)" if len(at) > 1 and "#" in kind else "")
         for kind, (part, at) in sorted(kinds.items(), key=lambda item: -len(item[1][1]))
@@ -239,7 +243,7 @@ def _notes(fit: FitResult | None) -> list[Block]:
 def _ranges(wavelength_nm: Sequence[float], step_nm: float) -> str:
     """Return ``300–340, 500 nm`` for wavelengths on a grid."""
     runs: list[list[float]] = []
-    for w in wavelength_nm:
+    for w in sorted(set(wavelength_nm)):
         if runs and w - runs[-1][1] <= 1.5 * step_nm:
             runs[-1][1] = w
         else:

@@ -23,6 +23,8 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from gonio.overlap import block_starts
+
 FloatArray = NDArray[np.float64]
 Dashes = str | tuple[float, tuple[float, ...]]
 """A line style of matplotlib: a name such as ``-`` or ``--``, or (offset, on-off lengths)."""
@@ -193,8 +195,15 @@ def broken(
     """Return `x` ascending and the curves with a NaN inserted at every value of `at` inside the range.
 
     A line through the result stops before a detector change and starts again after it; NaN in a curve
-    stays a gap.
+    stays a gap.  Wavelengths that two detectors measured come once for each, grouped by detector: there the
+    line stops at the last of one and starts again at the first of the next.
     """
+    starts = block_starts(np.asarray(x, dtype=np.float64))
+    if len(starts):
+        middle = 0.5 * (x[starts - 1] + x[starts])
+        return np.insert(x, starts, middle), tuple(
+            np.insert(np.asarray(c, dtype=np.float64), starts, np.nan) for c in curves
+        )
     order = np.argsort(x, kind="stable")
     x = np.asarray(x, dtype=np.float64)[order]
     sorted_curves = [np.asarray(c, dtype=np.float64)[order] for c in curves]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.devices import FloatArray, Quality
+from gonio.overlap import changes_nm, home
 
 if TYPE_CHECKING:
     import xarray
@@ -29,7 +30,8 @@ class Scan:
 
     Attributes
     ----------
-    wavelength_nm : (m,) float64, set wavelength, ascending
+    wavelength_nm : (m,) float64, set wavelength, ascending within each detector; about a detector change a
+        wavelength may be there twice, once for each detector (`home` keeps one of them)
     detector_index : (m,) uint8, index into `detector_names`
     theta_i_deg, theta_mes_deg, theta_o_deg : (n,) float64, read back from the axes;
         theta_o = theta_mes - theta_i
@@ -85,10 +87,15 @@ class Scan:
 
     @property
     def detector_change_nm(self) -> tuple[float, ...]:
-        """Wavelengths halfway between neighbours that were measured with different detectors."""
-        change = np.flatnonzero(np.diff(self.detector_index.astype(np.int16)) != 0)
-        halfway = 0.5 * (self.wavelength_nm[change] + self.wavelength_nm[change + 1])
-        return tuple(float(w) for w in halfway)
+        """Wavelengths at which the detector changes: halfway between neighbours, or the middle of the
+        overlap.
+        """
+        return changes_nm(self.wavelength_nm, self.detector_index)
+
+    @property
+    def home(self) -> NDArray[np.bool_]:
+        """Mask (m,) that keeps each wavelength once where two detectors measured it; see `gonio.overlap`."""
+        return home(self.wavelength_nm, self.detector_index)
 
     def to_xarray(self) -> xarray.Dataset:
         """Return an `xarray.Dataset` of dimensions (position, wavelength) with ``units`` and ``quantity``."""

@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.devices import FloatArray, Polarization
+from gonio.overlap import block_starts
+from gonio.overlap import changes_nm as detector_changes_nm
 from gonio.plan import Plan, Position, channels
 from gonio.rig import RigConfig
 from gonio.store import Scan
@@ -87,9 +89,7 @@ class LiveScan:
     @property
     def detector_change_nm(self) -> tuple[float, ...]:
         """Wavelengths halfway between neighbours of different detectors."""
-        change = np.flatnonzero(np.diff(self.detector_index.astype(np.int16)))
-        halfway = 0.5 * (self.wavelength_nm[change] + self.wavelength_nm[change + 1])
-        return tuple(float(w) for w in halfway)
+        return detector_changes_nm(self.wavelength_nm, self.detector_index)
 
     def column_near(self, wavelength_nm: float) -> int:
         """Return the index of the wavelength nearest to one asked for."""
@@ -175,5 +175,7 @@ def broken_at(
     wavelength_nm: FloatArray, values: FloatArray, changes_nm: Sequence[float]
 ) -> tuple[FloatArray, FloatArray]:
     """Return a curve with a gap (NaN) at every detector change: no line joins two detectors."""
-    where = np.searchsorted(wavelength_nm, np.asarray(changes_nm, dtype=np.float64))
+    where = block_starts(wavelength_nm)
+    if not len(where):
+        where = np.searchsorted(wavelength_nm, np.asarray(changes_nm, dtype=np.float64))
     return np.insert(wavelength_nm, where, changes_nm), np.insert(values, where, np.nan)
