@@ -11,6 +11,7 @@ Reference: Stanford Research Systems, SR830 manual, chapter 5.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -20,14 +21,15 @@ from typing import Literal, Self
 from pydantic import model_validator
 
 from gonio.config import Count, Number, Positive, Strict
-from gonio.errors import ConnectionFailed, DeviceError
+from gonio.errors import ConnectionFailed, DeviceError, ReplyError
 from gonio.rig import SIMULATED, Context
 from gonio_drivers.decimals import decimal, whole
 from gonio_drivers.lines import Line, NoReply, connecting, open_line
 from gonio_drivers.sr830_guards import GUARDS, check_guards, check_unchanged, numbers_of
 
 _IDENTITY = re.compile(r"stanford[_ ]research[_ ]systems *, *SR830\b", re.IGNORECASE)
-_LOCK_ATTEMPTS = 3
+_LOCK_ATTEMPTS = 3  # at least
+_LOCK_S = 1.0  # instrument seconds in which a chopper that runs is found again
 
 FULL_SCALE_V = tuple(
     mantissa * 10.0**decade
@@ -53,6 +55,8 @@ p_2 = 1 + x, p_3 = 1 + x + x2/3, p_4 = 1 + x + 2 x2/5 + x3/15.
 
 INPUT_OVERLOAD, FILTER_OVERLOAD, OUTPUT_OVERLOAD, UNLOCKED = 1, 2, 4, 8  # bits of LIAS?
 _LARGEST_V = 10.0  # the largest range is 1 V; far more is a damaged exponent
+_STOP = 1.08  # of full scale: outputs end at 1.09
+_LOOKS_AT_MAGNITUDE = 3
 
 
 class SR830Config(Strict):
@@ -141,6 +145,8 @@ class SR830:
         self._guarded: dict[str, str] = {}  # answers on connecting, by question
         self._range = -1  # not known yet
         self._status_first = True
+        self._magnitude_agrees: bool | None = None  # whether R is that of X and Y; None: not seen yet
+        self._disagreements = 0
         self._greet()
         self._description = self._identified()
         self._set_up()
@@ -222,11 +228,12 @@ class SR830:
         """
         reading, bits = self._reading()
         overload = reading.overload
-        for _ in range(_LOCK_ATTEMPTS):
+        settle_s = self._config.jump_settle_s()
+        for _ in range(max(_LOCK_ATTEMPTS, math.ceil(_LOCK_S / settle_s))):
             if not bits & UNLOCKED:
                 return LockinReading(reading.x_v, reading.y_v, overload)
             # The bit is latched: the lock may be back, and the filter then needs its time.
-            self._clock.sleep(self._config.jump_settle_s())
+            self._clock.sleep(settle_s)
             reading, bits = self._reading()
             overload |= reading.overload
         if not bits & UNLOCKED:
@@ -239,34 +246,61 @@ class SR830:
 
     def _reading(self) -> tuple[LockinReading, int]:
         """Return one look at outputs and status bits."""
-        outputs, status = self._line.query(self._look)
-        x_v, y_v = self._numbers(outputs, 2)
-        if max(abs(x_v), abs(y_v)) > _LARGEST_V:
-            raise self._line.damaged(
-                outputs.encode("latin-1", "replace"), f"more than {_LARGEST_V:g} V, which no range shows"
-            )
-        bits = self._whole(status, 255)
+        x_v, y_v, bits = self._line.query(self._look)
         overload = bool(bits & (INPUT_OVERLOAD | FILTER_OVERLOAD | OUTPUT_OVERLOAD))
+        # Bits can be damaged on the way, and an output at its stop is one whatever they say.
+        overload |= self._range >= 0 and max(abs(x_v), abs(y_v)) > _STOP * FULL_SCALE_V[self._range]
         return LockinReading(x_v, y_v, overload), bits
 
     def close(self) -> None:
         """Release the line."""
         self._line.close()
 
-    def _look(self) -> tuple[str, str]:
-        """Ask for outputs and status, in one order and the other by turns.
+    def _look(self) -> tuple[float, float, int]:
+        """Ask for X, Y [V] and status bits, in one order and the other by turns.
 
         Replies carry no number.  A reply that comes twice, the second time after the next question, would be
         taken for the answer to that one; in the other order it has the wrong form.
+
+        Nor do they carry a checksum: a digit that was damaged on the way is a number like any other.  So R is
+        asked for as well, which must be the magnitude of X and Y to within the output's resolution.
         """
         self._status_first = not self._status_first
+        snap = "SNAP? 1,2" if self._magnitude_agrees is False else "SNAP? 1,2,3"
         if self._status_first:
-            status, outputs = self._exchange("LIAS?;SNAP? 1,2", 2)
+            status, outputs = self._exchange(f"LIAS?;{snap}", 2)
         else:
-            outputs, status = self._exchange("SNAP? 1,2;LIAS?", 2)
+            outputs, status = self._exchange(f"{snap};LIAS?", 2)
         if "," in status:
             raise self._line.damaged(status.encode("latin-1", "replace"), "not a status")
-        return outputs, status
+        bits = self._whole(status, 255)
+        if self._magnitude_agrees is False:
+            x_v, y_v = self._numbers(outputs, 2)
+        else:
+            x_v, y_v, r_v = self._numbers(outputs, 3)
+            self._must_agree(x_v, y_v, r_v, outputs)
+        if max(abs(x_v), abs(y_v)) > _LARGEST_V:
+            raise self._line.damaged(
+                outputs.encode("latin-1", "replace"), f"more than {_LARGEST_V:g} V, which no range shows"
+            )
+        return x_v, y_v, bits
+
+    def _must_agree(self, x_v: float, y_v: float, r_v: float, outputs: str) -> None:
+        """Raise unless R is the magnitude of X and Y.
+
+        An instrument that has shown it once must always; one that never does (R expanded, a clone that makes
+        it up) is not asked for it any more, and can then not be protected.
+        """
+        magnitude_v = math.hypot(x_v, y_v)
+        resolution_v = FULL_SCALE_V[self._range] / 32768.0
+        if abs(r_v - magnitude_v) <= 2.0 * resolution_v + 1e-5 * magnitude_v:
+            if magnitude_v > 10.0 * resolution_v:
+                self._magnitude_agrees = True
+            return
+        self._disagreements += 1
+        if self._magnitude_agrees is None and self._disagreements >= _LOOKS_AT_MAGNITUDE:
+            self._magnitude_agrees = False
+        raise self._line.damaged(outputs.encode("latin-1", "replace"), "R is not the magnitude of X and Y")
 
     def _greet(self) -> None:
         """Have replies sent to RS-232; the statement itself has none."""
@@ -284,8 +318,17 @@ class SR830:
             self._set_phase(config.phase_deg)
         (answer,) = self._line.query(lambda: self._exchange("SENS?", 1))
         self._range = self._whole(answer, len(FULL_SCALE_V) - 1)
+        if self._magnitude_agrees is None:
+            self._try_magnitude()
         self._guarded = self._found_or_set(GUARDS)
         check_guards(self._line.device, self._guarded)
+
+    def _try_magnitude(self) -> None:
+        """Find out whether R can prove X and Y."""
+        for _ in range(_LOOKS_AT_MAGNITUDE):
+            with contextlib.suppress(ReplyError):
+                self._look()
+                return
 
     def _found_or_set(self, guards: Mapping[str, str]) -> dict[str, str]:
         """Return the answer to each question that the instrument knows, all in one exchange."""

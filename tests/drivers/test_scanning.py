@@ -16,7 +16,7 @@ from gonio_drivers.scanning import ScanningSpectrometer
 from gonio_drivers.sr830 import SR830
 
 from .test_cs260 import INFO, says
-from .test_sr830 import AS_BEFORE, CONNECT, GUARDED, READ
+from .test_sr830 import AS_BEFORE, CONNECT, GUARDED, READ, without_magnitude
 
 CONFIG = parse_rig(default_rig_text().replace("pipelined = true", "pipelined = false")).spectrometer
 
@@ -32,11 +32,11 @@ def in_turns(lockin):
     """Turn every second reading round, as the driver does to know one reply from the one before."""
     turned = False
     for request, reply in lockin:
-        if request == READ:
-            if turned:
-                outputs, status = reply.split(b"\r")[:2] if reply else (b"", b"")
-                request = TURNED
-                reply = reply and status + b"\r" + outputs + b"\r"
+        if request == READ and turned:
+            outputs, status = reply.split(b"\r")[:2] if reply else (b"", b"")
+            yield TURNED, reply and status + b"\r" + outputs + b"\r"
+            turned = False
+            continue
         turned ^= request in (READ, TURNED)
         yield request, reply
 
@@ -63,7 +63,8 @@ OPEN_AT_500 = [
 def spectrometer(scripted, context):
     def make(mono, lockin, *, verifies: bool = False):
         monochromator = CS260(CONFIG.monochromator, context, scripted(INFO, *mono, role="monochromator"))
-        amplifier = SR830(CONFIG.lockin, context, scripted(*CONNECT, *in_turns(lockin), role="lockin"))
+        line = scripted(*CONNECT, *in_turns(lockin), role="lockin")
+        amplifier = without_magnitude(SR830(CONFIG.lockin, context, line))
         if not verifies:
             monochromator.verify = amplifier.verify = lambda: None
         return ScanningSpectrometer(CONFIG, context, monochromator, amplifier)

@@ -23,6 +23,7 @@ CONNECT = (
     (b"OFLT 8;OFLT?\r", b"8\r"),
     (b"OFSL 0;OFSL?\r", b"0\r"),
     (b"SENS?\r", b"26\r"),
+    (b"SNAP? 1,2,3;LIAS?\r", b"0.3,0.4,0.5\r0\r"),
     (
         b"ISRC?;*IDN?;HARM 1;HARM?;*IDN?;OEXP 1,0,0;OEXP? 1;*IDN?;OEXP 2,0,0;OEXP? 2;*IDN?;PHAS?;*IDN?\r",
         IDENTITY.join([b"0\r", b"1\r", b"0,0\r", b"0,0\r", b"-30.50\r", b""]),
@@ -35,9 +36,16 @@ READ = b"SNAP? 1,2;LIAS?\r"
 @pytest.fixture
 def lockin(scripted, context):
     def make(*exchanges, config=CONFIG, connect=CONNECT):
-        return SR830(config, context, scripted(*connect, *exchanges, role="lockin"))
+        amplifier = SR830(config, context, scripted(*connect, *exchanges, role="lockin"))
+        return without_magnitude(amplifier)
 
     return make
+
+
+def without_magnitude(amplifier: SR830) -> SR830:
+    """Make it one whose R proves nothing, so that readings are short in the tests."""
+    amplifier._magnitude_agrees, amplifier._status_first = False, True
+    return amplifier
 
 
 def test_tables_of_the_manual():
@@ -99,8 +107,12 @@ def test_a_late_reading_is_never_the_next(lockin):
 
 @pytest.mark.parametrize("reply", [b"1.0\r0\r", b"1.0,2.0,3.0\r0\r", b"one,two\r0\r", b"1.0,2.0\r\xff\r"])
 def test_damaged_readings_are_errors(lockin, reply):
+    """Asked for once more, and damaged again."""
+    outputs, status = reply.split(b"\r")[:2]
+    turned = status + b"\r" + outputs + b"\r"
+    amplifier = lockin((READ, reply), IDN, (b"LIAS?;SNAP? 1,2\r", turned))
     with pytest.raises(ReplyError, match="numbers"):
-        lockin((READ, reply)).read()
+        amplifier.read()
 
 
 @pytest.mark.parametrize("time_constant_s", [0.2, 0.5, 5e-6, 1e6])
@@ -143,3 +155,64 @@ def test_what_settling_leaves(slope, settle):
 def test_too_short_a_settling_for_the_slope_is_refused():
     with pytest.raises(ValidationError, match=r"= 5 leaves 27% of a step .* 24 dB/octave; wait longer"):
         SR830Config(driver="sr830", slope_db_oct=24)
+
+
+# -- R proves X and Y ----------------------------------------------------------------
+
+WITH_R, TURNED_WITH_R = b"SNAP? 1,2,3;LIAS?\r", b"LIAS?;SNAP? 1,2,3\r"
+
+
+@pytest.fixture
+def proven(scripted, context):
+    def make(*exchanges):
+        return SR830(CONFIG, context, scripted(*CONNECT, *exchanges, role="lockin"))
+
+    return make
+
+
+@pytest.mark.parametrize(
+    "damaged",
+    [
+        b"0.3118,0.4,0.5",  # a digit
+        b"30.3,0.4,0.5",  # a digit more
+        b"0.3e2,0.4,0.5",
+        b"0.03,0.4,0.5",
+        b"0.3,0.4,0.7",
+    ],
+)
+def test_a_damaged_digit_is_a_damaged_reply(proven, damaged):
+    amplifier = proven((TURNED_WITH_R, b"0\r" + damaged + b"\r"), IDN, (WITH_R, b"0.3,0.4,0.5\r0\r"))
+    assert amplifier.read().x_v == 0.3
+    assert amplifier.line.statistics.damaged == 1
+
+
+def test_rounding_of_the_outputs_is_no_damage(proven):
+    """All three in steps of 1 V / 32768."""
+    amplifier = proven((TURNED_WITH_R, b"0\r0.300018,-0.399994,0.499969\r"))
+    assert amplifier.read().y_v == -0.399994
+
+
+def test_an_instrument_whose_r_is_something_else_is_read_without(scripted, context):
+    """R expanded ten times, or made up: after three looks it is not asked for any more."""
+    odd = b"0.03,0.04,0.5\r0\r"
+    turned = b"0\r0.03,0.04,0.5\r"
+    before, guards = CONNECT[:5], CONNECT[6:]
+    amplifier = SR830(
+        CONFIG,
+        context,
+        scripted(
+            *before,
+            (WITH_R, odd),
+            *(IDN, (TURNED_WITH_R, turned)),
+            *(IDN, (WITH_R, odd)),
+            *(IDN, *guards),
+            (b"LIAS?;SNAP? 1,2\r", b"0\r0.03,0.04\r"),
+            role="lockin",
+        ),
+    )
+    assert amplifier.read().x_v == 0.03
+
+
+def test_an_output_at_its_stop_is_overloaded_whatever_the_bits_say(lockin):
+    assert lockin((READ, b"1.09,0\r0\r")).read().overload
+    assert not lockin((READ, b"1.07,0\r0\r")).read().overload
