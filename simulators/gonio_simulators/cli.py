@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
 import gc
 import os
 import sys
@@ -47,7 +48,8 @@ def main(argv: list[str] | None = None) -> int:
         finally:
             if injector is not None:
                 injector.log.close()
-                print(injector.log.summary(), file=sys.stderr)
+                with contextlib.suppress(OSError):  # whoever started this may be gone
+                    print(injector.log.summary(), file=sys.stderr)
     except GonioError as error:
         print(error, file=sys.stderr)
         return 1

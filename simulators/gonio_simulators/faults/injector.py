@@ -16,9 +16,10 @@ from gonio_simulators.faults.axes import AxisFaults
 from gonio_simulators.faults.catalogue import MOVE
 from gonio_simulators.faults.log import FaultLog
 from gonio_simulators.faults.optics import LightFaults, StuckFaults
+from gonio_simulators.faults.outbox import Later, loop_later
 from gonio_simulators.faults.places import ROLES, places_of
 from gonio_simulators.faults.spec import FaultSpec
-from gonio_simulators.faults.wire import Later, WireFaults, loop_later
+from gonio_simulators.faults.wire import WireFaults
 
 
 class PowerCycled(Protocol):

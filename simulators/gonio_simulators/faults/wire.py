@@ -6,18 +6,13 @@ and what an echoing or binary device sends at once; a request likewise.
 
 from __future__ import annotations
 
-import asyncio
-from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from gonio_simulators.faults.active import ActiveFault
 from gonio_simulators.faults.catalogue import REPLY
 from gonio_simulators.faults.damage import changed, lines, pieces, shown, with_noise
-
-Deliver = Callable[[bytes], None]
-Later = Callable[[float, Callable[[], None]], object]
-"""Calls a function after real seconds."""
+from gonio_simulators.faults.outbox import Deliver, Later, Outbox, loop_later
 
 _LINES_OUT = frozenset(("zaber", "elliptec", "sr830"))
 _LINES_IN = frozenset(("zaber", "cs260", "sr830"))  # Elliptec and Modbus requests have no terminator
@@ -37,11 +32,6 @@ class Plug(Protocol):
     def restart(self) -> None:
         """Forget half-received commands and owed answers, as an instrument that restarts does."""
         ...
-
-
-def loop_later(delay_s: float, action: Callable[[], None]) -> object:
-    """Call a function after real seconds, by a timer of the running loop."""
-    return asyncio.get_running_loop().call_later(delay_s, action)
 
 
 class WireFaults:
@@ -75,10 +65,7 @@ class WireFaults:
         self._on_reply = [f for f in faults if f.on == REPLY]
         self._on_request = [f for f in faults if f not in self._on_reply and f not in echoes]
         self._echo = b""  # what the instrument still has to echo
-        self._queue: deque[tuple[float, bytes, Deliver]] = deque()
-        self._generation = 0
-        self._held = b""
-        self._held_for: tuple[int, Deliver] | None = None
+        self._outbox = Outbox(later)
         self._requests = 0
         self._client: Deliver | None = None
         self._silences = 0
@@ -92,7 +79,7 @@ class WireFaults:
         if deliver != self._client:  # a new connection inherits nothing
             self._client = deliver
             self._echo = b""
-            self._forget_replies()
+            self._outbox.forget()
         self._requests += 1
         requests = lines(data) if self._on_request and self._protocol in _LINES_IN else [data]
         for request in requests:
@@ -165,7 +152,7 @@ class WireFaults:
     def fall_silent(self, duration_s: float, *, buffers: bool = False) -> None:
         """Answer nothing for real seconds; requests of that time are lost, or carried out at its end."""
         self._silences += 1
-        self._forget_replies()
+        self._outbox.forget()
         self._later(duration_s, lambda: self._wake(buffers=buffers))
 
     def restart(self, boot_s: float) -> None:
@@ -191,12 +178,11 @@ class WireFaults:
         for fault in [f for f in self._on_reply if f.strikes()]:  # each counts, whatever becomes of it
             if chunks:
                 chunks = self._damaged(fault, reply, chunks, transmit)
-        if chunks and self._held and self._held_for is not None and self._held_for[0] < self._requests:
+        if chunks and (held := self._outbox.take_held(self._requests)):
             (delay_s, first), *rest = chunks
-            chunks = [(delay_s, self._held + first), *rest]
-            self._held = b""
+            chunks = [(delay_s, held + first), *rest]
         for delay_s, chunk in chunks:
-            self._transmit(delay_s, chunk, transmit)
+            self._outbox.send(delay_s, chunk, transmit)
 
     def _damaged(
         self, fault: ActiveFault, reply: bytes, chunks: list[tuple[float, bytes]], transmit: Deliver
@@ -212,7 +198,7 @@ class WireFaults:
         elif fault.name == "dropped-reply":
             result = []
         elif fault.name == "late-reply":
-            self._hold(fault.number("delay_s"), data, transmit)
+            self._outbox.hold(data, self._requests, fault.number("delay_s"), transmit)
             result = []
         elif fault.name == "garbage":
             noisy = with_noise(data, int(fault.number("size")), fault.text("place"), rng)
@@ -229,46 +215,6 @@ class WireFaults:
             result = [(delay_s, data + data)]  # doubled-reply
         fault.record(details)
         return result
-
-    def _hold(self, delay_s: float, data: bytes, transmit: Deliver) -> None:
-        self._held += data
-        self._held_for = (self._requests, transmit)
-        if delay_s > 0:
-            self._later(delay_s, self._release)
-
-    def _release(self) -> None:
-        held, self._held = self._held, b""
-        if held and self._held_for is not None:
-            self._transmit(0.0, held, self._held_for[1])
-
-    def _transmit(self, delay_s: float, data: bytes, transmit: Deliver) -> None:
-        """Send at once, or behind what still waits: a line keeps the order of its bytes."""
-        if not self._queue and delay_s <= 0:
-            transmit(data)
-            return
-        self._queue.append((delay_s, data, transmit))
-        if len(self._queue) == 1:
-            self._wait_for_first()
-
-    def _wait_for_first(self) -> None:
-        generation = self._generation
-        self._later(self._queue[0][0], lambda: self._next(generation))
-
-    def _forget_replies(self) -> None:
-        self._held = b""
-        self._queue.clear()
-        self._generation += 1
-
-    def _next(self, generation: int) -> None:
-        if generation != self._generation:  # the client has gone meanwhile
-            return
-        _, data, transmit = self._queue.popleft()
-        transmit(data)
-        while self._queue and self._queue[0][0] <= 0:
-            _, data, transmit = self._queue.popleft()
-            transmit(data)
-        if self._queue:
-            self._wait_for_first()
 
     def _with_echo_faults(self, data: bytes) -> bytes:
         """Lose or double the lines that are echoes of what was received."""
