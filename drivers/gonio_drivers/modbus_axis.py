@@ -18,7 +18,7 @@ from gonio_drivers.lines import connecting
 from gonio_drivers.modbus import LOOPBACK, Canary, Framing, ModbusLine, WordOrder, open_modbus
 from gonio_drivers.modbus_axis_drive import RegisterDrive, setting_value
 from gonio_drivers.modbus_axis_map import RegisterMap
-from gonio_drivers.modbus_axis_reads import Span, choose_canary, plan_reads
+from gonio_drivers.modbus_axis_reads import Span, choose_canary, joined, plan_reads
 from gonio_drivers.modbus_axis_values import limits
 from gonio_drivers.stage import MotorStage
 from gonio_drivers.two_axes import open_two_axes
@@ -67,7 +67,7 @@ class RegisterStageConfig(StageConfig):
                     registers.status_spans(), registers.position.span, bridge=registers.bridge
                 )
             ]
-            others = [span for registers in maps for span in registers.read_back_spans()]
+            others = [span for registers in maps for span in registers.other_reads()]
             given = next((registers.canary for registers in maps if registers.canary is not None), None)
             if given == "loopback":
                 found[unit] = LOOPBACK
@@ -125,9 +125,7 @@ def _own_canary(maps: list[RegisterMap], blocks: list[Span], others: list[Span])
     state = [span for m in maps for span in (*m.status_spans(), m.position.span)]
     every = [*state, *(register.span for m in maps for register in (m.target, *m.settings().values()))]
     reads = [*blocks, *others]
-    return choose_canary(blocks, state, reads) or choose_canary(
-        plan_reads(every, maps[0].position.span, bridge=0), every, reads
-    )
+    return choose_canary(blocks, state, reads) or choose_canary(joined(every), every, reads)
 
 
 def _check_range(name: str, axis: RegisterAxisConfig, registers: RegisterMap) -> None:

@@ -22,7 +22,7 @@ from gonio_drivers.modbus_axis_map import (
     Write,
     words,
 )
-from gonio_drivers.modbus_axis_reads import plan_reads
+from gonio_drivers.modbus_axis_reads import Span, plan_reads
 from gonio_drivers.modbus_axis_values import decode, encode, limits, width
 
 TURNS_AT_MOST = 2.0  # of the axis beyond its limits; a count farther away has its words the wrong way round
@@ -86,21 +86,16 @@ class RegisterDrive:
         """Whether it tells that it has lost its reference, or cannot lose it."""
         return bool(self._map.referenced) or not self._map.home
 
-    @property
-    def round_trips(self) -> int:
-        """Reads that one poll takes."""
-        return len(self._reads)
-
     def describe(self) -> str:
         """Return what the state looks like; there is no register for the model that all drives have."""
-        content = self._read_words()
+        content = self._read_words(self._reads)
         seen = sorted({condition.span for _, condition in self._map.conditions()})
         status = ", ".join(f"0x{s.address:02X} = 0x{content[s.function, s.address]:04X}" for s in seen)
         return f"Modbus unit {self._unit}, status {status}"
 
     def state(self) -> DriveState:
         """Ask for status, alarm and position."""
-        content = self._read_words()
+        content = self._read_words(self._reads)
         position = self._map.position
         value = self._number(content, position)
         if not math.isfinite(value):
@@ -170,7 +165,8 @@ class RegisterDrive:
         forgotten = self.confirm() is not None
         if forgotten:
             self._referenced = False
-        if forgotten or self.reports_reference:
+        can_tell = self._map.mark is not None or bool(self._map.readable_settings())
+        if forgotten or self.reports_reference or not can_tell:
             self._set_up()
 
     def confirm(self) -> str | None:
@@ -209,10 +205,10 @@ class RegisterDrive:
 
     def _settings_read_back(self) -> Iterable[tuple[str, list[int], list[int]]]:
         """Return the name, the wanted and the present registers of each setting that can be read."""
-        for name, register in self._map.settings().items():
-            if register.read_back:
-                got = self._line.read(self._unit, register.address, width(register.type))
-                yield name, self._settings[name], got
+        content = self._read_words(self._map.setting_reads())
+        for name, register in self._map.readable_settings().items():
+            got = [content[3, register.address + i] for i in range(width(register.type))]
+            yield name, self._settings[name], got
 
     def _setting_words(self, name: str, register: SettingRegister, config: MotorConfig) -> list[int]:
         key, value = setting_value(register, name, config)
@@ -225,10 +221,10 @@ class RegisterDrive:
             )
         return encode(value, register.type, self._word_order)
 
-    def _read_words(self) -> dict[tuple[int, int], int]:
-        """Return every register of the state by function and address."""
+    def _read_words(self, reads: Iterable[Span]) -> dict[tuple[int, int], int]:
+        """Return every register of some reads by function and address."""
         content: dict[tuple[int, int], int] = {}
-        for block in self._reads:
+        for block in reads:
             got = self._line.read(self._unit, block.address, block.count, function=block.function)
             content.update({(block.function, block.address + i): word for i, word in enumerate(got)})
         return content

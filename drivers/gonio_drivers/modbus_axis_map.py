@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 
 from gonio.config import NotNegative, Number, Strict
 from gonio_drivers.modbus import ReadFunction
-from gonio_drivers.modbus_axis_reads import Span
+from gonio_drivers.modbus_axis_reads import Span, joined
 from gonio_drivers.modbus_axis_values import IntegerType, NumberType, limits, width
 
 Address = Annotated[int, Field(strict=True, ge=0, le=0xFFFF)]
@@ -249,10 +249,17 @@ class RegisterMap(Strict):
         alarm = () if self.alarm is None else (self.alarm.span,)
         return (*(condition.span for _, condition in self.conditions()), *alarm)
 
-    def read_back_spans(self) -> tuple[Span, ...]:
-        """Return what is read besides the state: settings and the mark."""
-        mark = () if self.mark is None else (self.mark.span,)
-        return (*(register.span for register in self.settings().values() if register.read_back), *mark)
+    def readable_settings(self) -> dict[str, SettingRegister]:
+        """Return the settings that can be read back."""
+        return {name: register for name, register in self.settings().items() if register.read_back}
+
+    def setting_reads(self) -> list[Span]:
+        """Return the reads that read the settings back."""
+        return joined(register.span for register in self.readable_settings().values())
+
+    def other_reads(self) -> list[Span]:
+        """Return the reads made besides those of the state: settings and the mark."""
+        return self.setting_reads() + ([] if self.mark is None else [self.mark.span])
 
     @model_validator(mode="after")
     def _makes_sense(self) -> Self:

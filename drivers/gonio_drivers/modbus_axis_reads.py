@@ -49,8 +49,15 @@ def plan_reads(wanted: Iterable[Span], position: Span, *, bridge: int) -> tuple[
         So many registers that nobody asked for may be read along to save a read.  Many drives answer a read
         that touches a register they do not have with an exception, so this is for the user to allow.
     """
+    return tuple(
+        sorted(joined((*wanted, position), bridge=bridge), key=lambda block: block.contains(position))
+    )
+
+
+def joined(spans: Iterable[Span], *, bridge: int = 0) -> list[Span]:
+    """Return the fewest reads that cover the spans, in ascending order; arguments as for `plan_reads`."""
     blocks: list[Span] = []
-    for span in sorted({*wanted, position}):
+    for span in sorted(set(spans)):
         last = blocks[-1] if blocks else None
         if last is not None and last.function == span.function and span.address <= last.end + bridge:
             together = max(last.end, span.end) - last.address
@@ -58,7 +65,7 @@ def plan_reads(wanted: Iterable[Span], position: Span, *, bridge: int) -> tuple[
                 blocks[-1] = Span(last.function, last.address, together)
                 continue
         blocks.append(span)
-    return tuple(sorted(blocks, key=lambda block: block.contains(position)))
+    return blocks
 
 
 def choose_canary(runs: Iterable[Span], parts: Iterable[Span], reads: Iterable[Span]) -> Canary | None:

@@ -10,17 +10,33 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from gonio.config import parse_toml, validate
+from gonio.errors import DeviceError
 from gonio.rig import default_rig_text
+from gonio_drivers.lines import Line
 from gonio_drivers.modbus_axis import RegisterStageConfig
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "drivers.md").read_text(encoding="utf-8")
 FILES = dict(re.findall(r"^`([\w.]+)`:\n\n```\w+\n(.*?)^```$", PAGE, flags=re.DOTALL | re.MULTILINE))
 MAPS = re.findall(r"^```toml\n(\[stage\.registers\]\n.*?)^```$", PAGE, flags=re.DOTALL | re.MULTILINE)
+
+PIECES = [
+    b"1QS12345,M,R,-\r",
+    b"1QS-7,I,U,S\r",
+    b"1ID",
+    b"TT1\r",
+    b"1??02\r",
+    b"2QS1,I,R,-\r",
+    b"\r",
+    b"1QS1,",
+]
 
 ASK_GONIO = """
 from gonio.rig import load_rig, find_driver
@@ -76,6 +92,31 @@ def test_the_pages_own_test_passes(package):
     assert len(tests) >= 6
     out = run(package, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_turntable.py")
     assert f"{len(tests)} passed" in out
+
+
+@given(st.lists(st.binary(max_size=12) | st.sampled_from(PIECES), max_size=12))
+def test_whatever_bytes_come_the_driver_raises_nothing_but_its_own_errors(chunks):
+    """And what it accepts is a reply of the right form, never a piece of another."""
+    incoming = list(chunks)
+
+    class Noise:
+        def write(self, data: bytes) -> None: ...
+
+        def read(self, timeout_s: float) -> bytes:
+            return incoming.pop(0) if incoming and timeout_s > 0 else b""
+
+        def close(self) -> None: ...
+
+    namespace: dict[str, Any] = {"__name__": "gonio_turntable"}
+    exec(compile(FILES["gonio_turntable.py"], "gonio_turntable.py", "exec"), namespace)
+    drive = object.__new__(namespace["TurntableDrive"])
+    drive.line, drive.device = Line(Noise(), "stage", "noise"), "theta_i"
+    drive.config = namespace["TurntableAxis"](device=1, steps_per_deg=1000.0, limits_deg=(0.0, 90.0))
+    try:
+        state = drive.state()
+    except DeviceError:
+        return
+    assert re.search(rb"1QS%d,[IM],[RU],." % state.position_steps, b"".join(chunks))
 
 
 def test_the_driver_has_no_more_than_60_lines():

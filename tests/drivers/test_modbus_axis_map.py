@@ -216,6 +216,18 @@ def test_a_loopback_is_never_the_same_twice(scripted, context):
         axis._line.prove(1)
 
 
+def test_a_drive_that_cannot_tell_a_restart_is_set_up_again_in_any_case(scripted, context):
+    text = SLOW.replace("scale = 0.01 }", "scale = 0.01, read_back = false }")
+    axis = drive(scripted, context, text, CONNECT[0], CONNECT[0])
+    assert axis.confirm() is None
+    axis.resume()
+
+
+def test_a_drive_that_forgot_nothing_is_not_written_to(scripted, context):
+    axis = drive(scripted, context, SLOW, *CONNECT, CONNECT[1])
+    axis.resume()
+
+
 # -- refusals ----------------------------------------------------------------------------
 
 
