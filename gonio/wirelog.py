@@ -31,7 +31,7 @@ LOST = "connection lost"
 """Begins the note that the connection broke."""
 
 THREW_AWAY = "threw away"
-"""Begins the note that the bytes just received answer nothing; they may have come long before they were read."""
+"""Begins the note that the bytes just received answer nothing; they may have come long before."""
 
 BROKEN_OFF = "  ... broken off\n"
 """Ends a record that another program left unfinished, so that half of its bytes are not taken for all."""
@@ -42,6 +42,7 @@ _OPENING = re.compile(
     r"wire-log (?P<version>\d{1,9}): (?P<protocol>[^\s,]+)(?: at (?P<address>\S+?))?"
     r"(?:, session of (?P<session>[^\s,]+))?(?:, instrument clock x(?P<speed>\S+))?$"
 )
+_PRINTED = re.compile(r"(?:[^\\]|\\(?:[nrt\\]|x[0-9a-fA-F]{2}))*")
 _BACK_S = 0.01  # two threads may write their records in the other order than they took their times
 
 
@@ -115,6 +116,8 @@ def printable(data: bytes) -> str:
 
 def from_printable(text: str) -> bytes:
     """Return the bytes of a printable text; `ValueError` if it is not ASCII or an escape is wrong."""
+    if _PRINTED.fullmatch(text) is None:  # Python itself takes unknown escapes, with a warning
+        raise ValueError("an escape is wrong")
     return text.encode("ascii").decode("unicode_escape").encode("latin-1")
 
 

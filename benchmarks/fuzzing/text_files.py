@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
+import weakref
 from pathlib import Path
 from random import Random
 
@@ -37,6 +39,7 @@ _VALUES = (
         "{ start = 1.0, stop = 2.0, step = 1e-9 }",
         '"\\u0000"',
         "[" * 50,
+        "[" * 3000,
         "0x7fffffffffffffff",
         "15.0",
     ),
@@ -126,8 +129,9 @@ class WireLogs:
     name = "wire log"
 
     def __init__(self, time: VirtualTime) -> None:
-        self._folder = tempfile.TemporaryDirectory()
-        self._path = Path(self._folder.name) / "wire.log"
+        folder = tempfile.mkdtemp()
+        weakref.finalize(self, shutil.rmtree, folder)
+        self._path = Path(folder) / "wire.log"
         self._lines = tuple(line + b"\n" for line in _LOG.splitlines())
         self._path.write_bytes(_LOG)
 

@@ -7,6 +7,7 @@ number as instruments print it), the echo, the second look (what was set is read
 from __future__ import annotations
 
 import math
+import re
 from random import Random
 from typing import Any
 
@@ -207,10 +208,11 @@ class SR830Replies(DriverTarget):
             name = statement[:4]
             if statement == "*IDN?":
                 out += b"Stanford_Research_Systems,SR830,s/n83022,ver1.07\r"
-            elif statement == "SNAP? 1,2":
+            elif name == "SNAP":
                 x, y = (f"{self.rng.uniform(-1, 1) * 10 ** self.rng.randint(-6, 0):g}" for _ in range(2))
                 self.said.append((float(x), float(y), bool(bits)))
-                out += f"{x},{y}\r".encode("ascii")
+                shown = {"1": x, "2": y, "3": f"{math.hypot(float(x), float(y)):g}"}
+                out += ",".join(shown[which] for which in statement[6:].split(",")).encode("ascii") + b"\r"
             elif statement == "LIAS?":
                 out += b"%d\r" % bits
             elif statement.endswith("?"):
@@ -220,13 +222,11 @@ class SR830Replies(DriverTarget):
         return out
 
     def _forge(self, rng: Random, reply: bytes) -> bytes:
-        fields = reply.replace(b",", b"\r").split(b"\r")[:-1]
-        if fields:
-            fields[rng.randrange(len(fields))] = rng.choice(
-                (b"nan", b"-inf", b"1e999", b"1_0", b"1e5", b"27", b"-1", b"2.5", b"256", b"9" * 5000, b"")
-            )
-        separator = b"," if b"," in reply else b"\r"
-        return separator.join(fields[:2]) + b"\r" + b"".join(field + b"\r" for field in fields[2:])
+        parts = re.split(rb"([,\r])", reply)  # fields, and what stands between them
+        parts[2 * rng.randrange((len(parts) + 1) // 2)] = rng.choice(
+            (b"nan", b"-inf", b"1e999", b"1_0", b"1e5", b"27", b"-1", b"2.5", b"256", b"9" * 5000, b"")
+        )
+        return b"".join(parts)
 
     def is_absurd(self, value: Any) -> bool:
         """Finite, and no more volts than the largest range shows."""

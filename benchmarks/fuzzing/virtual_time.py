@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from gonio.clock import Clock
+from gonio_simulators.wire.modbus_frames import RtuReceiver
 
 _PACKAGES = ("gonio_drivers", "gonio_simulators")
 _UNIX_EPOCH_S = 1.6e9
@@ -51,9 +52,12 @@ class VirtualTime:
         ]
         for module in replaced:
             module.__dict__["time"] = self
+        receiver = RtuReceiver.__init__  # its clock is a default argument, made when it was imported
+        before, receiver.__defaults__ = receiver.__defaults__, (self.monotonic,)
         try:
             yield
         finally:
+            receiver.__defaults__ = before
             for module in replaced:
                 module.__dict__["time"] = time
 
