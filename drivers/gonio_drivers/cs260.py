@@ -263,7 +263,7 @@ class CS260:
         if self._pipelined and not attempt:
             return self._number(self._says.exchange(statement, "WAVE?", timeout_s=timeout_s))
         self._says.exchange(statement)
-        if self._is_deaf:
+        if attempt or self._is_deaf:
             self._clock.sleep(duration_s)
         return self._number(self._says.exchange("WAVE?", timeout_s=timeout_s))
 
@@ -310,7 +310,10 @@ class CS260:
         if before == value:
             return False
         self._known.pop(question, None)
-        got = self._line.query(lambda: self._set_and_ask(f"{what} {value}", question, duration_s))
+        attempts = itertools.count()
+        got = self._line.query(
+            lambda: self._set_and_ask(f"{what} {value}", question, duration_s, next(attempts))
+        )
         if got != value:
             got = self._seen_to_arrive(
                 got,
@@ -331,9 +334,9 @@ class CS260:
             self._refuse_if_it_reports(f"gave no answer to {question}")
             raise
 
-    def _set_and_ask(self, statement: str, question: str, duration_s: float) -> str:
+    def _set_and_ask(self, statement: str, question: str, duration_s: float, attempt: int) -> str:
         self._says.exchange(statement)
-        if self._is_deaf:
+        if attempt or self._is_deaf:
             self._clock.sleep(duration_s)
         return _value(question, self._says.exchange(question, timeout_s=self._timeout_s(duration_s)))
 
@@ -342,8 +345,9 @@ class CS260:
         return self._line.reply_timeout_s + _SLACK * duration_s / self._clock.speed
 
     def _number(self, answer: str) -> float:
+        number, _, unit = answer.strip().partition(" ")
         try:
-            return decimal(answer)
+            return decimal(number if unit.strip().upper() == "NM" else answer)
         except ValueError:
             raise self._line.damaged(answer.encode("ascii", "replace"), "not a number") from None
 

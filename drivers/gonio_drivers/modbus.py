@@ -66,7 +66,7 @@ _EXCEPTIONS = {
 _ILLEGAL_FUNCTION = 1
 _BUSY = {6, 0x14}  # refused and nothing done: to be sent again later
 _BUSY_LOOK_S = 0.05
-_WRITE_TIMEOUT_S = 2.0  # at least: some drives confirm a write when they have carried it out
+_WRITE_PATIENCE = 2.0  # times as long as for a reading: some drives confirm what they have carried out
 _WRITES = {5, 6, 15, 16}
 _CONFIRMED_BY_ECHO = {5, 6, 8}  # the confirmation has the bytes of the request
 
@@ -126,8 +126,7 @@ class _LineClient(ModbusBaseSyncClient):
     def timeout_s(self) -> float:
         """Real seconds for the reply to the last request."""
         function = self._request[1 if self._has_crc else 7]
-        least_s = _WRITE_TIMEOUT_S if function in _WRITES else 0.0
-        return max(self._line.reply_timeout_s, least_s)
+        return self._line.reply_timeout_s * (_WRITE_PATIENCE if function in _WRITES else 1.0)
 
     def _receive(self) -> bytes:
         left_s = self._line.deadline_s(self.timeout_s) - time.monotonic()

@@ -277,26 +277,27 @@ class SR830:
         if self._magnitude_agrees is False:
             x_v, y_v = self._numbers(outputs, 2)
         else:
-            x_v, y_v, r_v = self._numbers(outputs, 3)
-            self._must_agree(x_v, y_v, r_v, outputs)
+            x_v, y_v = self._proven(outputs)
         if max(abs(x_v), abs(y_v)) > _LARGEST_V:
             raise self._line.damaged(
                 outputs.encode("latin-1", "replace"), f"more than {_LARGEST_V:g} V, which no range shows"
             )
         return x_v, y_v, bits
 
-    def _must_agree(self, x_v: float, y_v: float, r_v: float, outputs: str) -> None:
-        """Raise unless R is the magnitude of X and Y.
+    def _proven(self, outputs: str) -> tuple[float, float]:
+        """Return X and Y if R is their magnitude.
 
         An instrument that has shown it once must always; one that never does (R expanded, a clone that makes
         it up) is not asked for it any more, and can then not be protected.
         """
-        magnitude_v = math.hypot(x_v, y_v)
         resolution_v = FULL_SCALE_V[self._range] / 32768.0
-        if abs(r_v - magnitude_v) <= 2.0 * resolution_v + 1e-5 * magnitude_v:
-            if magnitude_v > 10.0 * resolution_v:
-                self._magnitude_agrees = True
-            return
+        with contextlib.suppress(ReplyError):
+            x_v, y_v, r_v = self._numbers(outputs, 3)
+            magnitude_v = math.hypot(x_v, y_v)
+            if abs(r_v - magnitude_v) <= 2.0 * resolution_v + 1e-5 * magnitude_v:
+                if magnitude_v > 10.0 * resolution_v:
+                    self._magnitude_agrees = True
+                return x_v, y_v
         self._disagreements += 1
         if self._magnitude_agrees is None and self._disagreements >= _LOOKS_AT_MAGNITUDE:
             self._magnitude_agrees = False
