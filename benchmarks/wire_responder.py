@@ -69,8 +69,8 @@ ANSWERS: dict[str, tuple[str, Callable[[bytes], bytes]]] = {
         "lockin",
         _from(
             {
-                b"SNAP? 1,2;LIAS?\r": b"0.123456,-0.00012\r0\r",
-                b"LIAS?;SNAP? 1,2\r": b"0\r0.123456,-0.00012\r",
+                b"SNAP? 1,2,3;LIAS?\r": b"0.123456,-0.00012,0.123456\r0\r",
+                b"LIAS?;SNAP? 1,2,3\r": b"0\r0.123456,-0.00012,0.123456\r",
             }
         ),
     ),
