@@ -131,6 +131,7 @@ class AppliedMotionDrive:
         self._has_in_position = False
         self._profile_ended_s: float | None = None
         self._referenced = referenced
+        self._jogged = False  # by its inputs or another program, since the last search for home began
         revs_per_deg = abs(config.steps_per_deg) / config.steps_per_rev
         acceleration = self._units(
             "acceleration_deg_s2", config.acceleration_deg_s2 * revs_per_deg * ACCELERATION_UNITS_PER_RPS_S
@@ -154,6 +155,7 @@ class AppliedMotionDrive:
         words_swapped = abs(swapped_steps) <= self._farthest_steps < abs(position_steps)
         if self._counts_per_step is not None:
             position_steps = round(self._line.s32(registers[ENCODER : ENCODER + 2]) / self._counts_per_step)
+        self._jogged |= bool(status & JOGGING)
         moving = bool(status & BUSY) or self._is_arriving(status)
         fault, remedy = _fault(alarm, status)
         if fault is None and words_swapped:
@@ -188,11 +190,20 @@ class AppliedMotionDrive:
 
     def home(self) -> None:
         """Begin the search for the home switch."""
-        self._referenced = False
+        self._referenced = self._jogged = False
         self._line.write_one(self._unit, OPCODE, FIND_HOME)
 
     def finish_home(self) -> None:
-        """Call the place of the home switch zero, which the search itself does not."""
+        """Call the place of the home switch zero, which the search itself does not.
+
+        A jog ends the search without an alarm, and the drive then stands anywhere.
+        """
+        if self._jogged:
+            raise MotionError(
+                self.device,
+                "was jogged while it searched for its reference",
+                "leave its jog inputs alone, then home the axis",
+            )
         self._line.write(self._unit, PARAMETER_1, [0, 0])
         self._line.write_one(self._unit, OPCODE, SET_POSITION)
         self._referenced = True
