@@ -198,7 +198,7 @@ class MemorySpectrometer:
         detector_index: Any,
         *,
         beam: str = "sample",
-        averages: int = 1,
+        averages: Any = 1,
         on_reading: Any = None,
     ) -> SpectrumReading:
         world = self.world
@@ -210,19 +210,20 @@ class MemorySpectrometer:
         quality = np.zeros(m, dtype=np.uint16)
         theta_i, theta_mes = self.stage.theta_i.where_deg, self.stage.theta_mes.where_deg
         r = true_r(theta_i, theta_mes, world.polarization or "s", wavelength_nm)
-        for i, w in enumerate(np.asarray(wavelength_nm).tolist()):
+        counts = np.broadcast_to(averages, m).tolist()
+        for i, (w, count) in enumerate(zip(np.asarray(wavelength_nm).tolist(), counts, strict=True)):
             if self.stop_event.is_set():
                 raise ScanStopped("stopped")
-            world.clock.sleep(0.01 * averages)
+            world.clock.sleep(0.01 * count)
             if world.real_delay_s:
                 time.sleep(world.real_delay_s)
             t = world.clock.now_s()
             fraction = {"sample": float(r[i]), "direct": 1.0, "dark": 0.0}[beam]
             mean = world.dark(w, t) + fraction * world.full(w, t)
             noise = np.sqrt(world.noise_dark_v**2 + fraction * (world.noise_full * world.full(w, t)) ** 2)
-            readings = mean + noise * world.rng.standard_normal(averages)
+            readings = mean + noise * world.rng.standard_normal(count)
             signal[i], time_s[i] = readings.mean(), t
-            if averages > 1:
+            if count > 1:
                 sd[i] = readings.std(ddof=1)
             if (beam, w) in self.over_range:
                 quality[i] = Quality.OVER_RANGE
