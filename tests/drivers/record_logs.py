@@ -17,7 +17,14 @@ from gonio.rig import Rig
 from .conftest import STAGES, rig_text, running_bench
 from .replaying import LOGS
 
-CLOCK_SPEED = 300.0  # slow enough that each move is polled some times
+CLOCK_SPEED = 1000.0  # slow enough that each move is polled some times
+
+SCANS: dict[str, tuple[str, tuple[str, ...]]] = {
+    **{kind: (kind, ()) for kind in STAGES},
+    # what the drivers survive by themselves, so that the scan goes through: among others one lost second
+    "zaber-faults": ("zaber", ("split-reply:0.05", "doubled-reply:0.04", "late-reply@lockin:nth=12")),
+}
+"""Kind of stage and faults of each recorded scan."""
 
 RESULT = "# read back: "
 
@@ -48,14 +55,15 @@ def recorded(log: Path) -> dict[str, Any]:
     return result
 
 
-def record(kind: str) -> None:
-    """Record the scan of one kind of stage."""
-    log = LOGS / f"scan-{kind}.log"
+def record(name: str) -> None:
+    """Record one of `SCANS`."""
+    log = LOGS / f"scan-{name}.log"
     log.unlink(missing_ok=True)
+    kind, faults = SCANS[name]
     text = rig_text(stage=STAGES[kind], clock_speed=CLOCK_SPEED)
     with (
         tempfile.TemporaryDirectory() as folder,
-        running_bench(Path(folder), text) as bench,
+        running_bench(Path(folder), text, *(f"--fault={fault}" for fault in faults)) as bench,
         bench.open(wire_log=log) as rig,
     ):
         result = measure(rig)
@@ -64,5 +72,5 @@ def record(kind: str) -> None:
 
 
 if __name__ == "__main__":
-    for stage in STAGES:
-        record(stage)
+    for scan in SCANS:
+        record(scan)

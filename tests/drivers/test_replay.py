@@ -22,16 +22,17 @@ from gonio_drivers.sr830 import SR830, SR830Config
 from gonio_drivers.zaber_protocol import ZaberLine
 
 from .conftest import STAGES, rig_text
-from .record_logs import CLOCK_SPEED, measure, recorded
+from .record_logs import CLOCK_SPEED, SCANS, measure, recorded
 from .replaying import LOGS, replay, replayed_line
 
 # -- recorded scans -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("hurry", [5.0, 1.0], ids=["polled as recorded", "polled five times as often"])
-@pytest.mark.parametrize("kind", list(STAGES))
-def test_a_recorded_scan_gives_the_same_readings(kind: str, hurry: float, tmp_path: Path):
-    log = LOGS / f"scan-{kind}.log"
+@pytest.mark.parametrize("name", list(SCANS))
+def test_a_recorded_scan_gives_the_same_readings(name: str, hurry: float, tmp_path: Path):
+    log = LOGS / f"scan-{name}.log"
+    kind, _ = SCANS[name]
     rig_file = tmp_path / "rig.toml"
     # The bench's clock is five times as fast as it was; the replies come as much sooner, or as late as then.
     rig_file.write_text(rig_text(stage=STAGES[kind], clock_speed=5.0 * CLOCK_SPEED), encoding="utf-8")
@@ -50,13 +51,13 @@ def test_a_recorded_scan_gives_the_same_readings(kind: str, hurry: float, tmp_pa
     assert result == recorded(log)
 
 
-@pytest.mark.parametrize("kind", list(STAGES))
-def test_recorded_scans_are_small_and_name_no_machine(kind: str):
-    log = LOGS / f"scan-{kind}.log"
+@pytest.mark.parametrize("name", list(SCANS))
+def test_recorded_scans_are_small_and_name_no_machine(name: str):
+    log = LOGS / f"scan-{name}.log"
     assert log.stat().st_size < 150_000
     session = read_log(log).sessions[-1]
     assert {role: line.protocol for role, line in session.lines.items()} == {
-        "stage": kind,
+        "stage": SCANS[name][0],
         "polarizer": "elliptec",
         "monochromator": "cs260",
         "lockin": "sr830",

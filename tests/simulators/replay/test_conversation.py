@@ -71,6 +71,23 @@ def test_what_came_too_late_is_not_hurried(replayed_line, time):
     assert heard(talk, time) == [(0.03, b"1 OK IDLE -- 1\r\n")]
 
 
+def test_bytes_that_were_found_later_come_right_behind_the_reply(replayed_line, time):
+    """Nobody listened after the reply; the log says when they were found, not when they came."""
+    line, _ = replayed_line(
+        r"""
+        stage = wire-log 1: zaber
+        stage > /1 1 get pos\n
+        stage < @01 1 OK IDLE -- 1\r\n
+        stage = this takes a while
+        stage < @01 1 OK IDLE -- 1\r\n
+        stage = threw away b'@01 1 OK IDLE -- 1\r\n'
+        """
+    )
+    talk = line.open()
+    talk.feed(b"/1 1 get pos\n")
+    assert heard(talk, time) == [(0.01, b"@01 1 OK IDLE -- 1\r\n")] * 2
+
+
 def test_replies_keep_the_order_of_their_requests(replayed_line, time):
     line, _ = replayed_line(
         r"""
