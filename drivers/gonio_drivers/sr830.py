@@ -319,10 +319,10 @@ class SR830:
             self._set_phase(config.phase_deg)
         (answer,) = self._line.query(lambda: self._exchange("SENS?", 1))
         self._range = self._whole(answer, len(FULL_SCALE_V) - 1)
-        if self._magnitude_agrees is None:
-            self._try_magnitude()
         self._guarded = self._found_or_set(GUARDS)
         check_guards(self._line.device, self._guarded)
+        if self._magnitude_agrees is None:
+            self._try_magnitude()  # only now: an offset is part of X, but not of R
 
     def _try_magnitude(self) -> None:
         """Find out whether R can prove X and Y."""

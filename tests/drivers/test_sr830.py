@@ -23,11 +23,11 @@ CONNECT = (
     (b"OFLT 8;OFLT?\r", b"8\r"),
     (b"OFSL 0;OFSL?\r", b"0\r"),
     (b"SENS?\r", b"26\r"),
-    (b"SNAP? 1,2,3;LIAS?\r", b"0.3,0.4,0.5\r0\r"),
     (
         b"ISRC?;*IDN?;HARM 1;HARM?;*IDN?;OEXP 1,0,0;OEXP? 1;*IDN?;OEXP 2,0,0;OEXP? 2;*IDN?;PHAS?;*IDN?\r",
         IDENTITY.join([b"0\r", b"1\r", b"0,0\r", b"0,0\r", b"-30.50\r", b""]),
     ),
+    (b"SNAP? 1,2,3;LIAS?\r", b"0.3,0.4,0.5\r0\r"),
 )
 GUARDED, AS_BEFORE = b";ISRC?;HARM?;OEXP? 1;OEXP? 2;PHAS?\r", b"0\r1\r0,0\r0,0\r-30.50\r"
 READ = b"SNAP? 1,2;LIAS?\r"
@@ -196,17 +196,15 @@ def test_an_instrument_whose_r_is_something_else_is_read_without(scripted, conte
     """R expanded ten times, or made up: after three looks it is not asked for any more."""
     odd = b"0.03,0.04,0.5\r0\r"
     turned = b"0\r0.03,0.04,0.5\r"
-    before, guards = CONNECT[:5], CONNECT[6:]
     amplifier = SR830(
         CONFIG,
         context,
         scripted(
-            *before,
+            *CONNECT[:-1],
             (WITH_R, odd),
             *(IDN, (TURNED_WITH_R, turned)),
             *(IDN, (WITH_R, odd)),
-            *(IDN, *guards),
-            (b"LIAS?;SNAP? 1,2\r", b"0\r0.03,0.04\r"),
+            *(IDN, (b"LIAS?;SNAP? 1,2\r", b"0\r0.03,0.04\r")),
             role="lockin",
         ),
     )

@@ -21,10 +21,12 @@ class ForeignLockin:
         source: int = 0,
         keeps_offset: bool = False,
         knows_offsets: bool = True,
+        takes_two: bool = False,
     ) -> None:
         self._bench = bench
         self.end, self.identity = end, identity
         self.locks_at_s = time.monotonic() + unlocked_s
+        self.takes_two = takes_two
         self.keeps_offset, self.knows_offsets = keeps_offset, knows_offsets
         self.values = {"OFLT": 5, "OFSL": 3, "SENS": 26, "OUTX": 1, "HARM": 2, "ISRC": source}
         self.offset_percent = {1: 25.0, 2: 0.0, 3: 0.0}
@@ -52,7 +54,7 @@ class ForeignLockin:
             if not self.keeps_offset:
                 self.offset_percent[int(channel)] = float(percent)
         elif name == "SNAP":
-            return self._snap()
+            return self._snap([int(item) for item in rest[1:].split(",")])
         elif statement == "LIAS?":
             self._look()
             status, self.status = self.status, 0
@@ -78,6 +80,9 @@ class ForeignLockin:
             self.status |= 4
         return max(-1.09 * full_v, min(1.09 * full_v, signal_v))
 
-    def _snap(self) -> str:
+    def _snap(self, items: list[int]) -> str:
         x_v = self._look()
-        return f" {x_v:+.6E},-0"
+        if self.takes_two and len(items) != 2:
+            return ""  # a clone
+        shown = {1: f" {x_v:+.6E}", 2: "-0", 3: f"{abs(x_v):g}"}
+        return ",".join(shown[item] for item in items)
