@@ -16,6 +16,9 @@ _CAUSES = {
     "encoder": Fault.ENCODER,
 }
 
+_READS_ENCODER = frozenset(("polarizer",))
+"""Axes whose position is that of an encoder: the ELL14's motor has no steps that could be counted."""
+
 
 class AxisFaults:
     """The faults of one axis; plugged in as `Motor.disturb`."""
@@ -67,8 +70,9 @@ class AxisFaults:
         what = f"silent={silent}"
         if not silent:
             return Disturbance(part, happened, Fault.STALL)
-        what = f"{what} readback={fault.text('readback')}"
-        return Disturbance(part, happened, slips=fault.text("readback") == "target")
+        readback = "truth" if self._motor.hardware.name in _READS_ENCODER else fault.text("readback")
+        what = f"{what} readback={readback}"
+        return Disturbance(part, happened, slips=readback == "target")
 
     def _hand(self, fault: ActiveFault) -> Disturbance | None:
         motor = self._motor

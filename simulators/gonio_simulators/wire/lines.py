@@ -276,7 +276,7 @@ class TcpPort:
         asyncio.get_running_loop().call_later(duration_s, self._begin_to_listen_again)
 
     def _begin_to_listen_again(self) -> None:
-        if not self._closed:
+        if not self._closed and self._server is not None and not self._server.is_serving():
             self._wanted_port = self._port
             self._listening = asyncio.ensure_future(self._listen_again())
 

@@ -161,6 +161,15 @@ def test_stall_of_the_rotator(faulty) -> None:
     assert wire.take() == b"0GS02\r\n"  # mechanical time-out
 
 
+def test_the_rotator_cannot_claim(faulty) -> None:
+    f = faulty("stall@polarizer:nth=1:silent=true:part=0.5")
+    wire = f.rotator()
+    assert wire.ask(b"0ma00004600") == b""
+    settle(f)
+    assert int(wire.take()[3:11], 16) == pytest.approx(0x2300, abs=30)
+    assert wire.ask(b"0gs") == b"0GS00\r\n"
+
+
 # -- alarm and limit ------------------------------------------------------------------------------------
 
 
