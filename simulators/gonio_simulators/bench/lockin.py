@@ -251,19 +251,14 @@ class Lockin:
 
     def _settle_steeply(self, duration_s: float, before: DetectorSignal, after: DetectorSignal) -> None:
         """Do the same with several low-passes."""
-        tau, order = self._time_constant_s, self._order
-        mean, noise_x, noise_y = self._stages
-        mean = response(mean, duration_s, tau, before.mean_v, after.mean_v)
-        fresh = kick(order, duration_s / tau) / math.sqrt(tau)
-        kicks = np.array([self._kicks() for _ in range(order)])
-        noise_x = response(noise_x, duration_s, tau, 0.0, 0.0) + after.in_phase_sd_v * fresh @ kicks[:, 0]
-        noise_y = response(noise_y, duration_s, tau, 0.0, 0.0) + after.quadrature_sd_v * fresh @ kicks[:, 1]
-        self._stages = np.stack([mean, noise_x, noise_y])
-        self._mean_v, self._noise_x_v, self._noise_y_v = (
-            float(mean[-1]),
-            float(noise_x[-1]),
-            float(noise_y[-1]),
-        )
+        tau = self._time_constant_s
+        inputs = np.array([[before.mean_v, after.mean_v], [0.0, 0.0], [0.0, 0.0]])
+        stages = response(self._stages, duration_s, tau, inputs)
+        normal = np.array([number for _ in range(self._order) for number in self._kicks()]).reshape(-1, 2)
+        sd_v = np.array([[after.in_phase_sd_v], [after.quadrature_sd_v]]) / math.sqrt(tau)
+        stages[1:] += sd_v * (kick(self._order, duration_s / tau) @ normal).T
+        self._stages = stages
+        self._mean_v, self._noise_x_v, self._noise_y_v = stages[:, -1].tolist()
 
     def _kicks(self) -> tuple[float, float]:
         """Two standard normal numbers, from a stock, as the generator is slow for single ones."""

@@ -25,23 +25,31 @@ from scipy.special import gammainc
 Array = NDArray[np.float64]
 
 
-def response(stages: Array, duration_s: float, tau_s: float, start_v: float, end_v: float) -> Array:
-    """Return the stages after an input that went straight from `start_v` to `end_v`.
+def response(stages: Array, duration_s: float, tau_s: float, inputs: Array) -> Array:
+    """Return the stages of several chains after their inputs went straight from one value to another.
 
     Parameters
     ----------
     stages
-        (n_stage,) float64, V: before.
+        (n_chain, n_stage) float64, V: before.
     duration_s, tau_s
         How long it took, and the time constant of each stage.
+    inputs
+        (n_chain, 2) float64, V: at the beginning and at the end.
     """
-    slope = (end_v - start_v) / duration_s if duration_s > 0 else 0.0
+    left = decay(stages.shape[1], _rounded(duration_s / tau_s)).T
+    start, end = inputs[:, :1], inputs[:, 1:]
+    change = end - start
+    if not change.any():
+        return np.asarray(end + (stages - end) @ left)
     # a ramp that has run for ever leaves stage k behind by k time constants
-    behind = slope * tau_s * np.arange(1, len(stages) + 1)
-    settled = start_v - behind
-    return np.asarray(
-        settled + slope * duration_s + decay(len(stages), duration_s / tau_s) @ (stages - settled)
-    )
+    settled = start - change * (tau_s / duration_s) * np.arange(1, stages.shape[1] + 1)
+    return np.asarray(settled + change + (stages - settled) @ left)
+
+
+def _rounded(u: float) -> float:
+    """Round to 12 digits, so that equal steps of time, different by their last bit, share a matrix."""
+    return float(f"{u:.12g}")
 
 
 @lru_cache(maxsize=64)
@@ -54,12 +62,16 @@ def decay(order: int, u: float) -> Array:
     return left
 
 
-@lru_cache(maxsize=64)
 def kick(order: int, u: float) -> Array:
     """Return the matrix that makes the fresh noise of `u` time constants from standard normal numbers.
 
     (order, order) float64, lower triangular, in units of ``sigma_1 / sqrt(tau)``.
     """
+    return _kick(order, _rounded(u))
+
+
+@lru_cache(maxsize=64)
+def _kick(order: int, u: float) -> Array:
     index = np.arange(1, order + 1)
     total = index[:, None] + index[None, :]
     ways = np.array([[math.comb(i + j - 2, i - 1) for j in index] for i in index])

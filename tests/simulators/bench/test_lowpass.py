@@ -27,11 +27,11 @@ def test_two_steps_of_time_are_as_good_as_one(order: int) -> None:
     early, late, whole = kick(order, 0.3), kick(order, 0.7), kick(order, 1.0)
     forgotten = decay(order, 0.7) @ early
     assert forgotten @ forgotten.T + late @ late.T == pytest.approx(whole @ whole.T, abs=1e-14)
-    stages = np.linspace(0.4, 0.9, order)
-    half = response(stages, 0.3, 2.0, 1.0, 1.6)
-    assert response(half, 0.7, 2.0, 1.6, 3.0) == pytest.approx(
-        response(stages, 1.0, 2.0, 1.0, 3.0), abs=1e-14
-    )
+    stages = np.stack([np.linspace(0.4, 0.9, order), np.linspace(-1.0, 2.0, order)])
+    inputs = np.array([[1.0, 1.6, 3.0], [0.5, 0.5, 0.5]])
+    half = response(stages, 0.3, 2.0, inputs[:, :2])
+    whole_way = response(stages, 1.0, 2.0, inputs[:, ::2])
+    assert response(half, 0.7, 2.0, inputs[:, 1:]) == pytest.approx(whole_way, abs=1e-14)
 
 
 def test_a_short_time_leaves_every_stage_its_small_noise() -> None:
