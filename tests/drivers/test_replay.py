@@ -28,6 +28,12 @@ from .replaying import LOGS, replay, replayed_line
 # -- recorded scans -----------------------------------------------------------------------------------------
 
 
+AGAIN = (
+    "if the drivers ask other things, or in another order, on purpose, record the logs again: "
+    "python -m tests.drivers.record_logs"
+)
+
+
 @pytest.mark.parametrize("hurry", [5.0, 1.0], ids=["polled as recorded", "polled five times as often"])
 @pytest.mark.parametrize("name", list(SCANS))
 def test_a_recorded_scan_gives_the_same_readings(name: str, hurry: float, tmp_path: Path):
@@ -42,13 +48,10 @@ def test_a_recorded_scan_gives_the_same_readings(name: str, hurry: float, tmp_pa
                 result = measure(rig)
         except DeviceError as error:
             _, report = device.end()
-            pytest.fail(
-                f"{error}\n{report}\nif the drivers ask other things now, record the logs again: "
-                "python -m tests.drivers.record_logs"
-            )
+            pytest.fail(f"{error}\n{report}\n{AGAIN}")
         code, report = device.end()
-    assert (code, "commands of the log not given" in report) == (0, False), report
-    assert result == recorded(log)
+    assert (code, "commands of the log not given" in report) == (0, False), f"{report}\n{AGAIN}"
+    assert result == recorded(log), AGAIN
 
 
 @pytest.mark.parametrize("name", list(SCANS))
