@@ -32,7 +32,7 @@ def test_pymeasure(sim: Simulator, line: str) -> None:
         else f"ASRL{sim.address('lockin', pty=True)}::INSTR"
     )
     adapter = VISAAdapter(
-        resource, visa_library="@py", read_termination="\r", write_termination="\r", timeout=300
+        resource, visa_library="@py", read_termination="\r", write_termination="\r", timeout=500
     )
     try:
         lockin = SR830(adapter)
