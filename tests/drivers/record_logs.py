@@ -21,8 +21,16 @@ CLOCK_SPEED = 1000.0  # slow enough that each move is polled some times
 
 SCANS: dict[str, tuple[str, tuple[str, ...]]] = {
     **{kind: (kind, ()) for kind in STAGES},
-    # what the drivers survive by themselves, so that the scan goes through: among others one lost second
-    "zaber-faults": ("zaber", ("split-reply:0.05", "doubled-reply:0.04", "late-reply@lockin:nth=12")),
+    # what the drivers survive by themselves, so that the scan goes through
+    "zaber-faults": (
+        "zaber",
+        (
+            "split-reply:0.05",
+            "doubled-reply@stage:0.05",
+            "doubled-reply@monochromator:0.05",
+            "dropped-reply@lockin:nth=20",
+        ),
+    ),
 }
 """Kind of stage and faults of each recorded scan."""
 
