@@ -109,6 +109,14 @@ def _refused_path(rig: RigConfig, start: Angles, end: Angles) -> str:
     return "; ".join(reasons)
 
 
+def refused_visit(rig: RigConfig, before: Angles | None, angles: Angles) -> str:
+    """Return why the rig must not go to a position, or not from the one before; empty if it may."""
+    reason = _refused_angles(rig, *angles)
+    if not reason and before is not None and before != angles:
+        reason = _refused_path(rig, before, angles)
+    return reason
+
+
 # -- room ---------------------------------------------------------------------------------------------------
 
 BYTES_PER_READING = 300

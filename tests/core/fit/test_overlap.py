@@ -88,7 +88,9 @@ def test_the_table_prints_the_ratio_with_the_detectors_names(mismatched: FitResu
 
 def test_the_table_counts_a_wavelength_with_its_own_detector(mismatched: FitResult) -> None:
     """Mixed, the band above the change would lie between the detectors."""
-    line = next(line for line in mismatched.table([(860.0, 900.0)]).splitlines() if line.startswith("860-900"))
+    line = next(
+        line for line in mismatched.table([(860.0, 900.0)]).splitlines() if line.startswith("860-900")
+    )
     rho_d = float(line.split()[1])
     assert abs(rho_d - 0.7) < 0.01
 

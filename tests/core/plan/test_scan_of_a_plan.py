@@ -1,4 +1,6 @@
-"""Plans with overlap, averages per range, references in between and passes to and fro, run on the bench in memory."""
+"""Plans with overlap, averages per range, references in between and passes to and fro, run on the bench in
+memory.
+"""
 
 from __future__ import annotations
 
