@@ -44,6 +44,9 @@ class CS260Line:
         DeviceError
             It stays in another unit.
         """
+        return self.line.query(self._greet)
+
+    def _greet(self) -> str:
         self._identity = unit = None
         try:
             with self.line.transaction():
@@ -56,6 +59,10 @@ class CS260Line:
                 self.exchange(statement)
             with contextlib.suppress(NoReply):
                 unit = self.query("UNITS?").upper().encode("ascii", "replace")
+        if not self.echoes and self.exchange("INFO?") != identity:
+            raise self.line.damaged(
+                identity.encode("ascii"), "not its identity"
+            )  # noise that looked like one
         if unit is not None and unit != b"NM":
             raise DeviceError(
                 self.line.device,
@@ -77,14 +84,14 @@ class CS260Line:
     def _greeted(self, statements: tuple[str, ...]) -> tuple[str, bytes | None]:
         """Return identity and unit; which lines are echoes and handshakes tells their form."""
         self._send(statements)
-        sent = {statement.encode("ascii") for statement in statements}
+        sent = tuple(statement.encode("ascii") for statement in statements)
         deadline_s = self.line.deadline_s()
         self.echoes = asked = False
         unit: bytes | None = None
         while True:
             text = self.line.read_line(deadline_s).strip()
-            if text.upper() in sent:
-                self.echoes, asked = True, text.upper() == b"INFO?"
+            if text.upper().endswith(sent):
+                self.echoes, asked = True, text.upper().endswith(b"INFO?")
             elif text.upper() in _UNITS:
                 unit = text.upper()
             elif _STATUS_BYTE.fullmatch(text):
@@ -103,9 +110,15 @@ class CS260Line:
                 self._skip_until(expected.__eq__, deadline_s)
         answer = b""
         if sent[-1].endswith(b"?"):
-            answer = self._skip_until(lambda text: text not in (b"", *sent), deadline_s)
+            answer = self._skip_until(lambda text: not self._is_echo(text, sent), deadline_s)
         self.line.answered()
         return answer.decode("ascii", "replace")
+
+    def _is_echo(self, text: bytes, sent: list[bytes]) -> bool:
+        """Say whether a line is an echo; one after a start without shows that they had only got lost."""
+        if text in sent:
+            self.echoes = True
+        return text in (b"", *sent)
 
     def _send(self, statements: tuple[str, ...]) -> list[bytes]:
         sent = [statement.encode("ascii") for statement in statements]

@@ -14,7 +14,7 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Self
 
@@ -25,7 +25,7 @@ from gonio.errors import ConnectionFailed, DeviceError, ReplyError
 from gonio.rig import SIMULATED, Context
 from gonio_drivers.decimals import decimal, whole
 from gonio_drivers.lines import Line, NoReply, connecting, open_line
-from gonio_drivers.sr830_guards import GUARDS, check_guards, check_unchanged, numbers_of
+from gonio_drivers.sr830_guards import FIELDS, GUARDS, check_guards, check_unchanged, numbers_of
 
 _IDENTITY = re.compile(r"stanford[_ ]research[_ ]systems *, *SR830\b", re.IGNORECASE)
 _LOCK_ATTEMPTS = 3  # at least
@@ -319,8 +319,12 @@ class SR830:
             self._set_phase(config.phase_deg)
         (answer,) = self._line.query(lambda: self._exchange("SENS?", 1))
         self._range = self._whole(answer, len(FULL_SCALE_V) - 1)
-        self._guarded = self._found_or_set(GUARDS)
-        check_guards(self._line.device, self._guarded)
+        self._guarded = self._found_or_set()
+        try:
+            check_guards(self._line.device, self._guarded)
+        except DeviceError:  # or a damaged digit: what is wrong is wrong twice
+            self._guarded = self._found_or_set()
+            check_guards(self._line.device, self._guarded)
         if self._magnitude_agrees is None:
             self._try_magnitude()  # only now: an offset is part of X, but not of R
 
@@ -331,17 +335,22 @@ class SR830:
                 self._look()
                 return
 
-    def _found_or_set(self, guards: Mapping[str, str]) -> dict[str, str]:
-        """Return the answer to each question that the instrument knows, all in one exchange."""
+    def _found_or_set(self) -> dict[str, str]:
+        """Return the answer to each of `GUARDS` that the instrument knows, all in one exchange."""
         try:
-            sections = self._line.query(lambda: self._sections(list(guards.values())))
+            return self._line.query(self._guards)
         except NoReply:  # a clone that takes no further statement of a line after one that it does not know
             return {}
-        return {
-            question: answer
-            for question, answer in zip(guards, sections, strict=True)
-            if answer is not None and numbers_of(answer)
-        }
+
+    def _guards(self) -> dict[str, str]:
+        found: dict[str, str] = {}
+        for question, section in zip(GUARDS, self._sections(list(GUARDS.values())), strict=True):
+            numbers = [answer for answer in section if numbers_of(answer)]
+            if len(section) > 1 or any(len(numbers_of(n)) != FIELDS[question] for n in numbers):
+                raise self._line.damaged("; ".join(section).encode("latin-1"), f"not an answer to {question}")
+            if numbers:
+                found[question] = numbers[0]
+        return found
 
     def _identified(self) -> str:
         (answer,) = self._line.query(lambda: self._exchange("*IDN?", 1))
@@ -397,19 +406,19 @@ class SR830:
             )
         return number
 
-    def _sections(self, statements: Sequence[str]) -> list[str | None]:
-        """Return the answer to each statement, None where there is none; the identity ends each."""
-        sections: list[str | None] = []
+    def _sections(self, statements: Sequence[str]) -> list[list[str]]:
+        """Return what is answered to each statement; the identity ends each."""
+        sections: list[list[str]] = []
         with self._line.transaction(self._prove):
             self._line.send(
                 ";".join(f"{statement};*IDN?" for statement in statements).encode("ascii") + b"\r"
             )
             deadline_s = self._line.deadline_s()
             for _ in statements:
-                answer = None
+                section: list[str] = []
                 while not _is_sr830(text := self._line.read_line(deadline_s).strip().decode("latin-1")):
-                    answer = text
-                sections.append(answer)
+                    section.append(text)
+                sections.append(section)
             self._line.answered()
         return sections
 

@@ -21,6 +21,9 @@ GUARDS = {
 }
 """What is sent on connecting, by the question; clones that lack a statement leave out its answer."""
 
+FIELDS = {"ISRC?": 1, "HARM?": 1, "OEXP? 1": 2, "OEXP? 2": 2, "PHAS?": 1}
+"""How many numbers an answer has."""
+
 _WANTED = {"HARM?": "1", "OEXP? 1": "0,0", "OEXP? 2": "0,0"}
 _CURRENTS = ([2.0], [3.0])  # ISRC; volts are 0 (A) and 1 (A-B)
 _RESOLUTION = 0.02  # of the phase, degrees; the others are whole numbers

@@ -159,10 +159,27 @@ def test_statements_one_by_one_for_an_instrument_that_loses_some(scripted, conte
     assert CS260(CONFIG, context, line).identify() == "Oriel,260"
 
 
+def test_noise_in_the_greeting_is_no_identity(scripted, context):
+    greeting = "".join(f"{statement}\r\n" for statement in GREETING).encode()
+    line = scripted(
+        (greeting, b"~xyz\r\nORIEL\r\n"),
+        (b"INFO?\r\n", b"INFO?\r\nOriel,260\r\n"),  # drained: what came of the rest before
+        (b"STB?\r\n", b"STB?\r\n00\r\n"),
+        (greeting, greeting.replace(b"UNITS?\r\n", b"UNITS?\r\nNM\r\n") + b"Oriel,260\r\n"),
+        (b"GOWAVE 500.000\r\n", b"GOWAVE 500.000\r\n"),
+        (b"WAVE?\r\n", b"WAVE?\r\n500.000\r\n"),
+        role="monochromator",
+    )
+    mono = CS260(CONFIG, context, line)
+    assert mono.identify() == "Oriel,260"
+    assert mono.go_to(500.0) == 500.0
+
+
 def test_without_echo_a_late_answer_is_told_by_the_identity(scripted, context):
     greeting = "".join(f"{statement}\r\n" for statement in GREETING).encode()
     line = scripted(
         (greeting, b"NM\r\n0\r\nOriel,260\r\n"),
+        (b"INFO?\r\n", b"Oriel,260\r\n"),
         (b"GOWAVE 500.000\r\n", b""),
         (b"WAVE?\r\n", []),
         (b"INFO?\r\n", b"450.000\r\n"),  # the late one

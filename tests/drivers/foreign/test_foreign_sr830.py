@@ -140,3 +140,19 @@ def test_what_python_takes_for_a_number_and_no_lockin_says(lockin, text):
     turned = b"LIAS?;SNAP? 1,2\r"
     with pytest.raises(ReplyError, match="not 2 numbers"):
         lockin((READ, text + b"\r0\r"), IDN, (turned, b"0\r" + text + b"\r")).read()
+
+
+PROBE = CONNECT[5]
+
+
+@pytest.mark.parametrize(
+    "damage", [(b"0,0\r", b"1\r"), (b"1\r", b"1\r1\r"), (b"1\r", b"7\r"), (b"0\rStan", b"2\rStan")]
+)
+def test_a_setting_is_wrong_only_if_it_is_wrong_twice(scripted, context, damage):
+    """A late or doubled answer in the place of another, and a damaged digit."""
+    reply = PROBE[1].replace(*damage, 1)
+    assert reply != PROBE[1]
+    malformed = damage[1] in (b"1\r", b"1\r1\r")
+    again = (IDN, PROBE) if malformed else (PROBE,)
+    line = scripted(*CONNECT[:5], (PROBE[0], reply), *again, CONNECT[6], role="lockin")
+    SR830(SR830Config(driver="sr830"), context, line)
