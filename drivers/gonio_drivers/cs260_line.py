@@ -59,10 +59,11 @@ class CS260Line:
                 self.exchange(statement)
             with contextlib.suppress(NoReply):
                 unit = self.query("UNITS?").upper().encode("ascii", "replace")
-        if not self.echoes and self.exchange("INFO?") != identity:
-            raise self.line.damaged(
-                identity.encode("ascii"), "not its identity"
-            )  # noise that looked like one
+        if not self.echoes:
+            with self.line.transaction():
+                again = self._ask("INFO?")
+            if again != identity:  # noise that looked like one
+                raise self.line.damaged(identity.encode("ascii"), "not its identity")
         if unit is not None and unit != b"NM":
             raise DeviceError(
                 self.line.device,

@@ -141,7 +141,8 @@ def test_a_wheel_that_is_not_there(connect, echo):
 
 def test_another_instrument_says_nothing_that_could_be_taken_for_one(scripted, context):
     greeting = "".join(f"{statement}\r\n" for statement in GREETING).encode()
-    line = scripted((greeting, b"\xff\xfe\x00?\r\n7\r\n"), (b"INFO?\r\n", b""), role="monochromator")
+    other = (greeting, b"\xff\xfe\x00?\r\n7\r\n"), (b"INFO?\r\n", b"")
+    line = scripted(*other, *other, role="monochromator")
     with pytest.raises(ReplyError):
         CS260(CONFIG, context, line)
 
@@ -163,8 +164,7 @@ def test_noise_in_the_greeting_is_no_identity(scripted, context):
     greeting = "".join(f"{statement}\r\n" for statement in GREETING).encode()
     line = scripted(
         (greeting, b"~xyz\r\nORIEL\r\n"),
-        (b"INFO?\r\n", b"INFO?\r\nOriel,260\r\n"),  # drained: what came of the rest before
-        (b"STB?\r\n", b"STB?\r\n00\r\n"),
+        (b"INFO?\r\n", b"INFO?\r\nOriel,260\r\n"),
         (greeting, greeting.replace(b"UNITS?\r\n", b"UNITS?\r\nNM\r\n") + b"Oriel,260\r\n"),
         (b"GOWAVE 500.000\r\n", b"GOWAVE 500.000\r\n"),
         (b"WAVE?\r\n", b"WAVE?\r\n500.000\r\n"),
