@@ -18,6 +18,7 @@ import struct
 import sys
 import zlib
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -133,6 +134,7 @@ class Journal:
         self.path = path
         self._lock = lock
         self._descriptor: int | None = descriptor
+        self._end = os.lseek(descriptor, 0, os.SEEK_CUR)  # of the last record that the disk has
 
     @classmethod
     def create(cls, path: Path, header: ScanHeader) -> Journal:
@@ -207,7 +209,18 @@ class Journal:
                 view = view[os.write(self._descriptor, view) :]
             _sync(self._descriptor)
         except OSError as error:
-            raise StoreError(f"{self.path}: cannot be written ({error}); free some disk space") from error
+            with suppress(OSError):  # half a record more or less: reading passes over it
+                os.ftruncate(self._descriptor, self._end)
+                os.lseek(self._descriptor, self._end, os.SEEK_SET)
+            raise StoreError(
+                f"{self.path}: cannot be written ({error}); free some disk space, or restore the connection "
+                "to the disk"
+            ) from error
+        self._end += len(data)
+
+    def records(self) -> list[Record]:
+        """Return every record after the header, from the disk."""
+        return _read(self.path)[1]
 
     def close(self) -> None:
         """Close the journal and give up its lock; more than once does nothing."""

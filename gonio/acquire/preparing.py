@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
+from gonio.acquire.room import RESERVE_BYTES, must_have_room
 from gonio.acquire.session import refuse_existing
 from gonio.acquire.steps import Step, steps_of
 from gonio.aperture import Aperture
-from gonio.errors import RefusedError, StoreError
+from gonio.errors import RefusedError
 from gonio.plan.channels import Channels, channels
 from gonio.plan.check import check
 from gonio.plan.model import Plan
@@ -58,10 +58,4 @@ def prepared(rig: Rig, plan: Plan, path: Path, *, continues: bool) -> Prepared:
 
 
 def _must_fit(path: Path, readings: int) -> None:
-    needed = readings * BYTES_PER_READING + 1_000_000
-    free = shutil.disk_usage(path.absolute().parent).free
-    if free < needed:
-        raise StoreError(
-            f"{path}: the scan takes up to {needed / 1e6:.0f} MB and the disk has {free / 1e6:.0f} MB left; "
-            "free some space or choose another disk"
-        )
+    must_have_room(path, readings * BYTES_PER_READING + RESERVE_BYTES)

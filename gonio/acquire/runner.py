@@ -21,6 +21,7 @@ drift whether or not we measure; on a simulated bench, whose clock begins anew, 
 from __future__ import annotations
 
 import datetime
+import itertools
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -109,6 +110,7 @@ class Runner:
         self._done = 0
         self._steps_done = 0
         self._skipped_in_a_row = 0
+        self._untold: list[EventRecord] = []  # that the disk would not take
         self._message = ""
         self._published_s = 0.0
 
@@ -264,20 +266,34 @@ class Runner:
 
     def _perform_all(self) -> None:
         left = [step for step in self._steps if step.key not in self._open.done]
-        for step, following in zip(left, [*left[1:], None], strict=True):
+        for step, following in itertools.zip_longest(left, left[1:]):
             if self._pause_requested:
                 self._wait_for_resume("paused by the operator", "info")
             self._raise_if_stopped()
             record = self._perform(step)
             if following is not None and not self._pause_requested and not self._stop_requested:
                 self._devices.begin(following)  # the motors run while the disk works
-            self._open.record(record)
+            self._keep(record)
             self._done += isinstance(step, PositionStep)
             self._steps_done += 1
             self._step, self._reading = None, 0
             if self._pace is not None:
                 self._pace.step_done(step)
             self._publish()
+
+    def _keep(self, record: PositionRecord | ReferenceRecord) -> None:
+        """Put a record on the disk; a disk that is full or gone is waited for, if the policy is to pause."""
+        while True:
+            try:
+                self._open.repair()
+                self._open.record(record)
+            except StoreError as error:
+                if self.policy.then != "pause":
+                    raise
+                self._pause_requested = True
+                self._wait_for_resume(str(error), "error")
+            else:
+                return
 
     def _perform(self, step: Step) -> PositionRecord | ReferenceRecord:
         """Measure a step, anew after faults as the policy says."""
@@ -437,7 +453,15 @@ class Runner:
 
     def _event(self, level: Level, message: str, error: GonioError | None = None) -> None:
         source = error.device if isinstance(error, DeviceError) else "runner"
-        self._open.record(EventRecord(self._now_s(), time.time(), level, source, message))
+        self._untold.append(EventRecord(self._now_s(), time.time(), level, source, message))
+        while self._untold:
+            event = self._untold[0]
+            try:
+                self._open.record(event)
+            except StoreError:
+                if not self._open.has(event):
+                    return  # a full disk: it is told with the next event
+            del self._untold[0]
 
     def _set(self, state: State, message: str) -> None:
         if not (self._stop_requested and self._active):  # `stop` has set the state, which stays until the end

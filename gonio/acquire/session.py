@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 
 from gonio.acquire.journal import Journal, journal_path
+from gonio.acquire.room import RESERVE_BYTES, must_have_room, prove_room
 from gonio.errors import StoreError
 from gonio.plan.model import Plan, parse_plan
 from gonio.rig import RigConfig
@@ -56,6 +57,9 @@ class Session:
         self._journal = journal
         self._file = file
         self._on_record = on_record
+        self._journaled: Record | None = None  # the last record that the journal has
+        self._broken = False  # the `.h5` could not be written and must be made anew
+        self._reserve = RESERVE_BYTES + _BLOCK * len(header.detector_index) * 8
 
     @classmethod
     def begin(cls, path: Path, header: ScanHeader, plan: Plan, on_record: OnRecord | None = None) -> Session:
@@ -93,11 +97,38 @@ class Session:
         return session, "; ".join(text for text in (note, remark) if text)
 
     def record(self, record: ReferenceRecord | PositionRecord | EventRecord) -> None:
-        """Keep a record for good: it is on the disk when this returns."""
-        self._journal.append(record)
-        self._note(record)
-        _add(self._file, [record])
-        self._file.flush()
+        """Keep a record for good: it is on the disk when this returns.
+
+        After a `StoreError` it may be called again with the same record, which is kept once.  If it was the
+        `.h5` that could not be written, records go to the journal alone until `repair`.
+        """
+        if record is self._journaled:
+            return
+        must_have_room(self.path, self._reserve)
+        try:
+            self._journal.append(record)
+            self._journaled = record
+            self._note(record)
+            if not self._broken:
+                _add(self._file, [record])
+                self._file.flush()
+        except StoreError:
+            if not self._broken:
+                self._broken = True
+                self._file.abandon()
+            raise
+
+    def has(self, record: EventRecord) -> bool:
+        """Say whether a record whose keeping failed is safe in the journal all the same."""
+        return record is self._journaled
+
+    def repair(self) -> None:
+        """Make the `.h5` anew from the journal after a failed write; `StoreError` if that fails, too."""
+        if not self._broken:
+            return
+        prove_room(self.path, self._reserve + 2 * self.path.stat().st_size)
+        self._file, _ = _rebuild(self.path, self.header, self._journal.records())
+        self._broken = False
 
     def _note(self, record: Record) -> None:
         if isinstance(record, PositionRecord):
@@ -117,6 +148,7 @@ class Session:
 
     def finish(self, end_time: str) -> None:
         """Correct all positions with all references, close the file for good and remove the journal."""
+        self.repair()
         self._file.finish(end_time)
         self._file.close()
         with explained(self.path, "finished"):
@@ -126,7 +158,8 @@ class Session:
     def close(self) -> None:
         """Close both files as they are; the scan can be resumed."""
         try:
-            self._file.close()
+            if not self._broken:
+                self._file.close()
         finally:
             self._journal.close()
 
@@ -204,7 +237,7 @@ def _rebuild(path: Path, header: ScanHeader, records: Sequence[Record]) -> tuple
         remark = _carry_over(path, file)
         file.move_to(path)
     except BaseException:
-        file.close()
+        file.abandon()
         temporary.unlink(missing_ok=True)
         raise
     return file, remark

@@ -24,6 +24,7 @@ from gonio.store.records import EventRecord, PositionRecord, ReferenceRecord, Sc
 from gonio.store.reduction import Reduced, Reduction
 from gonio.store.sweeps import write_sweeps
 
+_ABANDONED: list[ScanFile] = []  # kept, so that the collector does not close them
 _BLOCK = 1024  # rows corrected at a time: a few MB, however long the scan
 
 
@@ -256,6 +257,10 @@ class ScanFile:
         if self._file.id.valid:
             with explained(self.path, "closed"):
                 self._file.close()
+
+    def abandon(self) -> None:
+        """Never touch the file again: HDF5 may crash on closing a file whose last flush failed."""
+        _ABANDONED.append(self)
 
     def move_to(self, path: Path) -> None:
         """Put the file in the place of `path` in one step, and go on writing it there."""
