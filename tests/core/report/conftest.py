@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,6 +11,7 @@ import pytest
 
 from gonio.aperture import Aperture
 from gonio.facade import EnergyBalance, Estimate, Irradiance, Receiver
+from gonio.overlap import home
 from gonio.report import style
 from gonio.report.content import Content, References, Spectrum
 from gonio.store.scan import Scan
@@ -125,10 +126,21 @@ class FakeFit:
     theta_o_deg: np.ndarray
     polarization_of: np.ndarray
     sigma: np.ndarray
+    detector_index: np.ndarray
     aperture: str = "exact"
     polarization: str = "joint"
     parameters: tuple[str, ...] = ("rho_d", "rho_s", "alpha", "n2")
     notes: tuple[str, ...] = ()
+
+    @property
+    def home(self):
+        return home(self.wavelength_nm, self.detector_index)
+
+    def only(self, columns):
+        part = {
+            name: getattr(self, name)[columns] for name in ("wavelength_nm", "detector_index", "value", "se")
+        }
+        return replace(self, **part, sigma=self.sigma[:, columns])
 
     @property
     def quantile(self):
@@ -179,6 +191,7 @@ def build_fit(scan, polarization="joint", seed=2, mismatch=-0.03):
         theta_o_deg=scan.theta_o_deg[kept],
         polarization_of=scan.polarization[kept],
         sigma=np.full((int(kept.sum()), len(value)), 1e-4),
+        detector_index=scan.detector_index,
         polarization=polarization,
     )
 
