@@ -214,6 +214,7 @@ class SR830:
         """Select a range and verify it, in one exchange; return whether it is a change."""
         if index == self._range:
             return False
+        self._range = -1  # unknown, should the reply fail: the range may have changed all the same
         self._set("SENS", index)
         self._range = index
         return True
