@@ -264,10 +264,10 @@ class ElliptecRequests(SimulatorTarget):
         return Elliptec(bench, address="2")
 
     def is_foreign(self, answer: bytes, sent: bytes) -> bool:
-        """Lines that begin with its address, unless the client has changed that."""
+        """Lines that begin with its address, unless the client has changed that or made a group."""
         device = self.instrument
         assert isinstance(device, Elliptec)
-        if device.address != "2":
+        if device.address != "2" or b"ga" in sent:
             self.instrument = self.instrument_on(self.bench)
             self.talk = self.instrument.open()
             return False

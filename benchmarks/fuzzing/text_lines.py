@@ -209,7 +209,8 @@ class SR830Replies(DriverTarget):
             if statement == "*IDN?":
                 out += b"Stanford_Research_Systems,SR830,s/n83022,ver1.07\r"
             elif name == "SNAP":
-                x, y = (f"{self.rng.uniform(-1, 1) * 10 ** self.rng.randint(-6, 0):g}" for _ in range(2))
+                scale_v = FULL_SCALE_V[int(self.settings["SENS"])]
+                x, y = (f"{self.rng.uniform(-0.7, 0.7) * scale_v:g}" for _ in range(2))
                 self.said.append((float(x), float(y), bool(bits)))
                 shown = {"1": x, "2": y, "3": f"{math.hypot(float(x), float(y)):g}"}
                 out += ",".join(shown[which] for which in statement[6:].split(",")).encode("ascii") + b"\r"

@@ -82,7 +82,9 @@ class BadLine:
                 changed = mutate(rng, reply, self._history)
             sent = pieces(rng, changed)
             self.changed |= changed != reply
-            self._copies.extend(old for old in self._history if old in changed)
+            copies = [old for old in self._history if old in changed]
+            # The true reply behind a copy comes when its request has been answered: it is one copy more.
+            self._copies.extend([*copies, reply] if copies else [])
         if reply:
             self._history.append(reply)
         due_s = self._time.now_s
