@@ -28,6 +28,7 @@ from gonio_drivers.usb import UsbIdentity, device_of, identity_of, parse_usb_add
 CONNECT_TIMEOUT_S = 5.0
 WRITE_TIMEOUT_S = 2.0
 LOOK_S = 5e-4  # for so long a socket is looked at again and again before the thread sleeps
+_LONGEST_DISTANCE = 256  # reads between two looks where looking is in vain
 _SERIAL_SLICE_S = 0.05  # pyserial's own timeout: setting it per read would reconfigure the port each time
 
 
@@ -53,6 +54,9 @@ class SocketPort:
     A reply from this machine or its network is often there within 0.1 ms, less than it takes to put this
     thread to sleep and to wake it: so the first moments are spent looking, with the interpreter free for
     other threads at each look (see `docs/decisions/raw-socket.md` for the figures).
+
+    Where looking is in vain (a device that takes its time, or a core that the other end needs), it is left
+    out for 1, 2, 4 ... reads after each attempt, until one succeeds again.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -60,6 +64,8 @@ class SocketPort:
         # A command is one small packet: waiting for more of them (Nagle) would cost up to 40 ms each.
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setblocking(False)
+        self._distance = 1  # reads from one look in vain to the next
+        self._reads_to_look = 0
         self._poll: select.poll | None = None
         if hasattr(
             select, "poll"
@@ -81,17 +87,31 @@ class SocketPort:
 
     def read(self, timeout_s: float) -> bytes:
         """Return what arrives first, or ``b""`` after `timeout_s`."""
-        look_until_s = time.perf_counter() + min(timeout_s, LOOK_S)
-        while True:
-            try:
-                return self._receive()
-            except BlockingIOError:
-                if time.perf_counter() >= look_until_s:
-                    break
-        if timeout_s <= LOOK_S or not self._wait(timeout_s - LOOK_S):
+        with contextlib.suppress(BlockingIOError):
+            return self._receive()
+        if timeout_s <= 0:
+            return b""
+        looked_s = 0.0
+        if self._reads_to_look:
+            self._reads_to_look -= 1
+        else:
+            looked_s = min(timeout_s, LOOK_S)
+            if data := self._look(looked_s):
+                self._distance = 1
+                return data
+            self._reads_to_look = self._distance
+            self._distance = min(2 * self._distance, _LONGEST_DISTANCE)
+        if timeout_s <= looked_s or not self._wait(timeout_s - looked_s):
             return b""
         with contextlib.suppress(BlockingIOError):  # a checksum error in the kernel can take it back
             return self._receive()
+        return b""
+
+    def _look(self, duration_s: float) -> bytes:
+        until_s = time.perf_counter() + duration_s
+        while time.perf_counter() < until_s:
+            with contextlib.suppress(BlockingIOError):
+                return self._receive()
         return b""
 
     def _receive(self) -> bytes:

@@ -25,6 +25,7 @@ from gonio_simulators.clock import BenchClock
 HOST = "127.0.0.1"
 _RECEIVE_BYTES = 16384
 _LOOK_S = 1e-3
+_LONGEST_DISTANCE = 256
 _LISTEN_AGAIN_S = 0.1
 
 
@@ -77,18 +78,32 @@ class _WakefulSelector(selectors.SelectSelector):
     """Looks for a while before it sleeps.
 
     The next command of a client on this machine comes within 0.1 ms, which is less than it takes the kernel
-    to put this process to sleep and to wake it; on a virtual machine the difference is fivefold.
+    to put this process to sleep and to wake it; on a virtual machine the difference is fivefold.  Where it
+    does not come while we look (the client needs this very core, or nobody is there), looking is left out for
+    1, 2, 4 ... times after each attempt.
     """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._distance = 1  # sleeps from one look in vain to the next
+        self._sleeps_to_look = 0
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
         ready = super().select(0)
         if ready or (timeout is not None and timeout <= 0):
             return ready
         start_s = time.perf_counter()
-        look_s = _LOOK_S if timeout is None else min(timeout, _LOOK_S)
-        while time.perf_counter() - start_s < look_s:
-            if ready := super().select(0):
-                return ready
+        if self._sleeps_to_look:
+            self._sleeps_to_look -= 1
+        else:
+            look_s = _LOOK_S if timeout is None else min(timeout, _LOOK_S)
+            while time.perf_counter() - start_s < look_s:
+                if ready := super().select(0):
+                    self._distance = 1
+                    return ready
+            if timeout is None or timeout >= _LOOK_S:  # a shorter appointment was kept, not missed
+                self._sleeps_to_look = self._distance
+                self._distance = min(2 * self._distance, _LONGEST_DISTANCE)
         if timeout is None:
             return super().select(None)
         left_s = timeout - (time.perf_counter() - start_s)
