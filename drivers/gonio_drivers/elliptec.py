@@ -251,12 +251,13 @@ class ElliptecRotator:
     def _ask(self, command: str, kind: str, timeout_s: float | None = None) -> str:
         line = self._line
         # A command has no terminator: its letters say how long it is.
-        line.send(f"{self._address}{command}".encode("ascii"))
+        sent = f"{self._address}{command}".encode("ascii")
+        line.send(sent)
         deadline_s = line.deadline_s(timeout_s)
         is_move = timeout_s is not None
         while True:
             raw = line.read_line(deadline_s)
-            match = _REPLY.fullmatch(raw.strip())
+            match = _REPLY.fullmatch(raw.removeprefix(sent).strip())  # a one-wire adapter hears itself
             if match is None:
                 raise line.damaged(raw, f"not an answer to '{self._address}{command}'")
             address, said, digits = (text.decode() for text in match.groups())

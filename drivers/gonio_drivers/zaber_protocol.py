@@ -147,10 +147,13 @@ class ZaberLine:
                 return
 
     def _parse(self, raw: bytes) -> re.Match[str] | None:
-        """Return the fields of a reply, None for an alert or information line; damaged text is an error."""
+        """Return the fields of a reply; damaged text is an error.
+
+        None for an alert, an information line, or our own request from an adapter that hears itself.
+        """
         start = raw.rfind(b"@")  # noise before a reply is harmless: the number and the checksum are checked
         if start < 0:
-            if raw[:1] in (b"!", b"#"):
+            if raw[:1] in (b"!", b"#", b"/"):
                 return None
             raise self._damaged(raw, "is not a reply")
         raw = raw[start:]

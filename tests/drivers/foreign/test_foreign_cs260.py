@@ -29,6 +29,7 @@ CONFIG = CS260Config(
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch):
     monkeypatch.setattr(cs260, "_REAL_ARRIVAL_S", 0.1)
+    monkeypatch.setattr(cs260, "_SLACK", 1.2)
 
 
 def impatient_context() -> Context:

@@ -62,6 +62,10 @@ def test_a_position_on_the_way_is_not_where_it_stands(rotator):
     assert polarizer.select("p") == pytest.approx(-45.0, abs=0.01)
 
 
+def test_an_adapter_that_hears_itself(rotator):
+    assert rotator((b"Agp", b"AgpAPO00000000\r\n")).position_deg() == 0.0
+
+
 def test_where_it_stays_is_where_it_stands(rotator):
     stuck = (b"Agp", b"APOfffff000\r\n")
     with pytest.raises(MotionError, match=r"is at -10\.29 deg instead of -45"):

@@ -56,6 +56,12 @@ def test_replies_without_checksum_to_requests_with_one(scripted):
     assert ZaberLine(line).query(1, 1, "get pos").data == "5"
 
 
+def test_an_adapter_that_hears_itself(scripted):
+    request = b"/1 1 01 get pos\n"
+    line = scripted((request, request + b"@01 1 01 OK IDLE -- 5\r\n"))
+    assert ZaberLine(line, checksums=False).query(1, 1, "get pos").data == "5"
+
+
 def test_each_device_of_a_chain_has_its_own_habit(scripted):
     body = b"01 1 01 OK IDLE -- 5"
     line = scripted(
