@@ -89,7 +89,8 @@ def _spectrometer_s(rig: Rig, columns: Channels) -> tuple[float, float]:
     left: dict[int, float] = {}
     counts: dict[int, dict[str, float]] = {}
     for averages in (1, 3):
-        expected = config.pass_time(wavelength_nm, detector_index, averages, after=after)
+        # as for a beam of known brightness: in passes over the same spot the range stays, once it is found
+        expected = config.pass_time(wavelength_nm, detector_index, averages, beam="direct", after=after)
         counts[averages] = dict(expected.exchanges)
         left[averages] = max(0.0, _typical_s(one_pass(averages), _PASSES) - expected.instrument_s / speed)
     spectrometer.close_shutter()

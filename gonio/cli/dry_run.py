@@ -13,11 +13,8 @@ from gonio.cli.progress import readable_duration
 from gonio.latency import LatencyConfig
 from gonio.plan import Plan, Timetable, channels, check, load_plan, order_costs, resolved, timetable
 from gonio.plan.check import bytes_needed, refused_room
-from gonio.plan.optimise import describe
+from gonio.plan.optimise import MANY_POSITIONS, describe
 from gonio.rig import RigConfig, load_rig, open_rig
-
-_ORDERS_UP_TO = 20_000
-"""Positions up to which every order is tried: two seconds' work."""
 
 
 def dry_run(
@@ -95,8 +92,10 @@ def _print_time(plan: Plan, rig: RigConfig, table: Timetable) -> None:
 
 
 def _print_orders(plan: Plan, rig: RigConfig) -> None:
-    if plan.n_positions > _ORDERS_UP_TO:
-        print(f"order: {describe(plan.order)}; with more than {_ORDERS_UP_TO} positions others are not tried")
+    if plan.n_positions > MANY_POSITIONS:
+        print(
+            f"order: {describe(plan.order)}; with more than {MANY_POSITIONS} positions others are not tried"
+        )
         return
     costs = order_costs(plan, rig)
     own_s = costs[0].total_s

@@ -20,6 +20,9 @@ from gonio.plan.timetable import estimate
 from gonio.rig import RigConfig
 
 _KINDS: tuple[Literal["nested", "serpentine"], ...] = ("nested", "serpentine")
+MANY_POSITIONS = 20_000
+"""Up to so many positions every nesting is tried, which takes two seconds; beyond, only the usual one."""
+
 _TO_AND_FRO = {"alternate_wavelengths": True}
 _NESTINGS: tuple[tuple[Axis, Axis, Axis], ...] = tuple(itertools.permutations(DEFAULT_NESTING))  # type: ignore[arg-type]
 
@@ -81,6 +84,12 @@ def order_costs(plan: Plan, rig: RigConfig) -> list[OrderCost]:
 
 def _shortlist(plan: Plan, rig: RigConfig) -> list[Order]:
     """Return the order with the least travel for each way of running the loops and each innermost axis."""
+    if plan.n_positions > MANY_POSITIONS:
+        return [
+            Order(kind=kind, nesting=DEFAULT_NESTING, descending=falls)
+            for kind in _KINDS
+            for falls in (False, True)
+        ]
     found: list[Order] = []
     for kind, axis in itertools.product(_KINDS, DEFAULT_NESTING):
         same = [
