@@ -1,9 +1,10 @@
 """How long a pass of monochromator and lock-in takes, from their configuration alone.
 
 Counted in instrument seconds: the drive from wavelength to wavelength, changes of grating, filter, detector
-and shutter, settling and averaging, and the searches for an amplifier range: one at the first reading of each
-beam and detector, and `range_changes_per_pass` more in a pass over the sample, whose brightness nobody knows
-before. Exchanges are counted by role; what one costs is the rig file's ``[latency]``.
+and shutter, settling and averaging, and the searches for an amplifier range: one at the first reading of
+sample and dark with each detector, and `range_changes_per_pass` more in a pass over the sample, whose
+brightness nobody knows before.  Exchanges are counted by role; what one costs is the rig file's
+``[latency]``.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ def pass_time(
         exchanges["lockin"] += counts[i]
         previous = here
     searches = config.range_changes_per_pass if beam == "sample" else 0.0
-    if first:
+    if first and beam != "direct":  # a search begins at the largest range, which suits the direct beam
         seen = dict(zip(reversed(detectors), reversed(counts), strict=True))
         searches += len(seen)
         total_s += sum((count - 1) * spacing_s for count in seen.values())
