@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gonio.devices import FloatArray, Polarization
 from gonio.overlap import block_starts
 from gonio.overlap import changes_nm as detector_changes_nm
-from gonio.plan import Plan, Position, channels
+from gonio.plan import Plan, Position, channels, resolved
 from gonio.rig import RigConfig
 from gonio.store import Scan
 from gonio.store.records import PositionRecord, ReferenceRecord
@@ -59,8 +59,9 @@ class LiveScan:
     """
 
     def __init__(self, plan: Plan, rig: RigConfig) -> None:
-        self.plan = plan
         columns = channels(plan, rig)
+        plan = resolved(plan, rig)  # positions are numbered in the order in which they are measured
+        self.plan = plan
         self.wavelength_nm = columns.wavelength_nm
         self.detector_index = columns.detector_index
         self._positions = plan.positions()
