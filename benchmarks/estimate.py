@@ -4,7 +4,7 @@ For each plan and clock: the bench is started, latencies are measured on it (as 
 does), the scan is estimated, run over the wire, and its duration is taken from the finished file.  The axes
 are sent to the baseline position first, since the estimate does not know where they stand.
 
-    python benchmarks/estimate.py [--clocks 1,100,1000,4000] [--longest 120]
+    python benchmarks/estimate.py [--clocks 10,100,1000,4000] [--longest 120]
 """
 
 from __future__ import annotations

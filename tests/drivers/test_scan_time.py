@@ -10,7 +10,7 @@ from gonio.rig import default_rig_text, parse_rig
 RIG = parse_rig(default_rig_text())
 SPECTROMETER = RIG.spectrometer
 SETTLE_S, JUMP_S, SPACING_S = 0.5, 1.2, 0.3  # of 0.1 s time constants at 6 dB/octave
-CHANGES = 0.5  # per pass over the sample, in the built-in rig file
+CHANGES = 0.7  # per pass over the sample, in the built-in rig file
 
 
 def pass_time(wavelengths, detectors, averages=1, **how):
