@@ -108,7 +108,7 @@ class ServoLine:
 
     def heard(self, data: bytes) -> bytes:
         self._heard += data
-        size = 9 + self._heard[6] if self._heard[1] == 16 and len(self._heard) > 6 else 8
+        size = 9 + self._heard[6] if len(self._heard) > 6 and self._heard[1] == 16 else 8
         if len(self._heard) < size:
             return b""
         frame, self._heard = self._heard[:size], b""

