@@ -149,7 +149,8 @@ class Session:
     def finish(self, end_time: str) -> None:
         """Correct all positions with all references, close the file for good and remove the journal."""
         self.repair()
-        self._file.finish(end_time)
+        for event in self._file.finish(end_time):
+            self._note(event)
         self._file.close()
         with explained(self.path, "finished"):
             sync_file(self.path)

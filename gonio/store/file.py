@@ -7,6 +7,8 @@
 from __future__ import annotations
 
 import os
+import time
+from collections import defaultdict, deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,13 +20,24 @@ from numpy.typing import NDArray
 
 from gonio.errors import StoreError
 from gonio.plan.model import Plan
-from gonio.store.describe import nexus_group, text_dataset, write_entry
-from gonio.store.layout import COLUMNS, QUALITY_BITS, chunk_rows
+from gonio.store.describe import link_instrument, nexus_group, text_dataset, text_list, write_entry
+from gonio.store.layout import (
+    COLUMNS,
+    EVENT_COLUMNS,
+    EVENT_TEXTS,
+    QUALITY_BITS,
+    REFERENCE_COLUMNS,
+    REFERENCE_TEXTS,
+    Column,
+    chunk_rows,
+)
 from gonio.store.records import EventRecord, PositionRecord, ReferenceRecord, ScanHeader
 from gonio.store.reduction import Reduced, Reduction
 from gonio.store.sweeps import write_sweeps
+from gonio.store.verdict import beamless, changes, no_beam_message
 
 _ABANDONED: list[ScanFile] = []  # kept, so that the collector does not close them
+_LATEST = 8  # references of one kind: what a long scan's cost per position must not grow with
 _BLOCK = 1024  # rows corrected at a time: a few MB, however long the scan
 
 
@@ -47,7 +60,10 @@ class ScanFile:
         self._plan = plan
         self._header = header
         self._references: list[ReferenceRecord] = []
-        self._reduction = Reduction([], header.detector_index)
+        self._latest: dict[tuple[str, str], deque[ReferenceRecord]] = defaultdict(
+            lambda: deque(maxlen=_LATEST)
+        )
+        self._reduction: Reduction | None = None  # made when a position needs it after a new reference
         try:
             self._file = h5py.File(path, mode)
         except FileExistsError:
@@ -103,14 +119,16 @@ class ScanFile:
         one_letter = h5py.string_dtype("utf-8", 1)
         data["polarization"][...] = np.array([p.polarization for p in positions], dtype=one_letter)
         names = [detector.name for detector in header.rig.detectors]
-        data.create_dataset("detector_names", data=names, dtype=h5py.string_dtype("utf-8"))
+        text_list(data, "detector_names", names, "detector names, in the order of detector_index")
         self._use_columns(data)
         write_sweeps(entry, positions)
+        link_instrument(entry, header.detector_index, names)
         self._describe_references(entry, m)
         events = nexus_group(entry, "events", "NXcollection")
-        for name in ("level", "source", "message"):
-            events.create_dataset(name, (0,), dtype=h5py.string_dtype("utf-8"), maxshape=(None,))
-        _growing(events, "time", "f8", (), "s", "instrument time since the scan began")
+        for name, what in EVENT_TEXTS.items():
+            text_list(events, name, None, what)
+        for name, column in EVENT_COLUMNS.items():
+            _growing(events, name, column, m)
         self._entry = entry
 
     def _use_columns(self, data: h5py.Group) -> None:
@@ -123,18 +141,10 @@ class ScanFile:
 
     def _describe_references(self, entry: h5py.Group, m: int) -> None:
         group = nexus_group(entry, "references", "NXcollection")
-        for name in ("kind", "when", "polarization"):
-            group.create_dataset(name, (0,), dtype=h5py.string_dtype("utf-8"), maxshape=(None,))
-        _growing(group, "averages", "u4", (), "1", "readings averaged in signal")
-        _growing(group, "theta_i", "f8", (), "deg", "sample angle, read back")
-        _growing(group, "theta_mes", "f8", (), "deg", "detector angle, read back")
-        _growing(group, "time", "f8", (m,), "s", "instrument time since the scan began")
-        _growing(group, "signal", "f8", (m,), "V", "raw signal, mean of the repeats")
-        _growing(group, "signal_sd", "f8", (m,), "V", "standard deviation of a single reading")
-        _growing(
-            group, "wavelength_readback", "f8", (m,), "nm", "wavelength read back from the monochromator"
-        )
-        _growing(group, "quality", "u2", (m,), "1", "bits of gonio.devices.Quality, 0 is a good reading")
+        for name, what in REFERENCE_TEXTS.items():
+            text_list(group, name, None, what)
+        for name, column in REFERENCE_COLUMNS.items():
+            _growing(group, name, column, m)
 
     # -- what is measured
     # --------------------------------------------------------------------------------------
@@ -159,7 +169,8 @@ class ScanFile:
                 },
             )
         self._references.append(record)
-        self._reduction = Reduction(self._references, self._header.detector_index)
+        self._latest[record.kind, record.polarization].append(record)
+        self._reduction = None
 
     def add_positions(self, records: Sequence[PositionRecord]) -> None:
         """Write the rows of positions whose indices follow each other without a gap."""
@@ -172,7 +183,7 @@ class ScanFile:
         averages = np.stack([np.broadcast_to(record.averages, raw.shape[1:]) for record in records])
         theta_i = np.array([record.theta_i_deg for record in records])
         theta_mes = np.array([record.theta_mes_deg for record in records])
-        reduced = self._reduction.apply(
+        reduced = self._provisional().apply(
             raw, raw_sd, averages, time_s, [record.polarization for record in records]
         )
         rows = slice(first, last + 1)
@@ -192,6 +203,13 @@ class ScanFile:
                 ("averages", averages),
             ):
                 self._put(name, rows, values)
+
+    def _provisional(self) -> Reduction:
+        """Return the reduction with the references so far, until `finish` the latest of each kind."""
+        if self._reduction is None:
+            latest = [reference for few in self._latest.values() for reference in few]
+            self._reduction = Reduction(latest, self._header.detector_index)
+        return self._reduction
 
     def _put(self, name: str, rows: slice, values: NDArray[Any]) -> None:
         """Write rows of a column by h5py's low level, which takes a tenth of the time of the high one."""
@@ -233,14 +251,18 @@ class ScanFile:
         with explained(self.path, "written"):
             self._file.flush()
 
-    def finish(self, end_time: str) -> None:
-        """Correct every position with all references, and mark the scan as finished."""
+    def finish(self, end_time: str) -> list[EventRecord]:
+        """Correct every position with all references, and mark the scan as finished.
+
+        Returns what the references say of the lamp and the amplifiers, which is among the events then.
+        """
+        reduction = Reduction(self._references, self._header.detector_index)
         polarization = np.array([p.polarization for p in self._plan.positions()])
         columns = self._columns
         with explained(self.path, "finished"):
             for low in range(0, len(polarization), _BLOCK):
                 rows = slice(low, low + _BLOCK)
-                reduced = self._reduction.apply(
+                reduced = reduction.apply(
                     columns["raw_signal"][rows],
                     columns["raw_signal_sd"][rows],
                     columns["averages"][rows],
@@ -248,9 +270,36 @@ class ScanFile:
                     polarization[rows].tolist(),
                 )
                 self._write_reduced(rows, reduced)
+        told = self._told_by_references(reduction)
+        for event in told:
+            self.add_event(event)
+        with explained(self.path, "finished"):
             text_dataset(self._entry, "end_time", end_time)
             self._entry.attrs["scan_status"] = "finished"
             self._file.flush()
+        return told
+
+    def _told_by_references(self, reduction: Reduction) -> list[EventRecord]:
+        """Return what lamp and amplifiers did by the references, as events."""
+        if not self._references:
+            return []
+        time_s, at_s = self._columns["time"][...], float(np.nanmax(self._references[-1].time_s))
+        detectors = self._header.rig.detectors
+        events: list[EventRecord] = []
+        missing = beamless(reduction, self._references, self._header.detector_index)
+        if missing:
+            message = no_beam_message(missing, [detector.name for detector in detectors])
+            events.append(EventRecord(at_s, time.time(), "warning", "store", message))
+        for change in changes(reduction, self._references, self._header.detector_index):
+            after, before = change.after, change.before
+            between = (time_s > np.nanmin(before.time_s)) & (time_s < np.nanmax(after.time_s))
+            rows = np.flatnonzero(between)
+            message = change.message(
+                detectors[change.detector].name,
+                (int(rows[0]), int(rows[-1])) if len(rows) else None,
+            )
+            events.append(EventRecord(at_s, time.time(), change.level, "store", message))
+        return events
 
     def close(self) -> None:
         """Close the file; more than once does nothing."""
@@ -275,14 +324,12 @@ class ScanFile:
             self._use_columns(self._entry["data"])
 
 
-def _growing(
-    group: h5py.Group, name: str, dtype: str, shape: tuple[int, ...], units: str, quantity: str
-) -> None:
+def _growing(group: h5py.Group, name: str, column: Column, m: int) -> None:
+    shape = (m,) if column.dims == "nm" else ()
     dataset = group.create_dataset(
-        name, (0, *shape), dtype=dtype, maxshape=(None, *shape), chunks=(16, *shape)
+        name, (0, *shape), dtype=column.dtype, maxshape=(None, *shape), chunks=(16, *shape)
     )
-    dataset.attrs["units"] = units
-    dataset.attrs["quantity"] = quantity
+    dataset.attrs.update(column.attributes())
 
 
 def _append(group: h5py.Group, row: dict[str, Any]) -> None:

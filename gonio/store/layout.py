@@ -67,13 +67,41 @@ COLUMNS: dict[str, Column] = {
     ),
     "theta_i_set": Column("n", "f8", "deg", "incidence angle from the sample normal, as planned"),
     "theta_mes_set": Column("n", "f8", "deg", "detector angle from the incident beam, as planned"),
-    "position": Column("n", "i8", "", "number of the position in the plan"),
+    "position": Column("n", "i8", "1", "number of the position in the plan, from zero"),
     "time": Column("n", "f8", "s", "instrument time of the first reading since the scan began"),
     "polarization": Column("n", "str", "", "polarization of the incident beam, s or p"),
     "polarizer_angle": Column("n", "f8", "deg", "angle of the polarizer's rotator, read back"),
     # per wavelength
     "wavelength": Column("m", "f8", "nm", "wavelength, as set, ascending within each detector"),
     "detector_index": Column("m", "u1", "1", "index into detector_names"),
+}
+
+REFERENCE_COLUMNS: dict[str, Column] = {
+    "averages": Column("n", "u4", "1", "readings averaged in signal"),
+    "theta_i": Column("n", "f8", "deg", "sample angle, read back"),
+    "theta_mes": Column("n", "f8", "deg", "detector angle, read back"),
+    "time": Column("nm", "f8", "s", "instrument time since the scan began"),
+    "signal": Column("nm", "f8", "V", "raw signal, mean of the repeats"),
+    "signal_sd": Column("nm", "f8", "V", "standard deviation of a single reading"),
+    "wavelength_readback": Column("nm", "f8", "nm", "wavelength read back from the monochromator"),
+    "quality": Column("nm", "u2", "1", "bits of gonio.devices.Quality, 0 is a good reading"),
+}
+"""`/entry/references`: one row for each pass, columns as in `/entry/data`."""
+
+REFERENCE_TEXTS = {
+    "kind": "dark (shutter closed) or baseline (direct beam)",
+    "when": "start, end, or before the position of this number",
+    "polarization": "polarization of the beam, s or p; any for a dark",
+}
+
+EVENT_COLUMNS: dict[str, Column] = {
+    "time": Column("n", "f8", "s", "instrument time since the scan began"),
+}
+
+EVENT_TEXTS = {
+    "level": "info, warning or error",
+    "source": "the device, or the part of the program",
+    "message": "what happened",
 }
 
 QUALITY_BITS = ", ".join(f"{bit.value} {bit.name}" for bit in Quality if bit.name)

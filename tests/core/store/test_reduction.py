@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gonio.devices import Quality
+from gonio.store.pooling import moving_sum, pooled_variance
 from gonio.store.records import ReferenceKind, ReferenceRecord
-from gonio.store.reduction import Reduction, moving_sum, pooled_variance
+from gonio.store.reduction import Reduction
 
 M = 12
 DETECTOR = np.array([0] * 5 + [1] * 7, dtype=np.uint8)
@@ -188,23 +189,6 @@ def test_repeated_readings_bring_their_own_scatter_and_are_averaged() -> None:
         np.full((1, M), 0.5), np.full((1, M), 7e-3), np.array([9]), np.zeros((1, M)), ["s"]
     )
     np.testing.assert_allclose(reduced.r_sd, 7e-3 / 3.0, rtol=1e-12)
-
-
-def test_the_walk_between_two_references_is_widest_halfway_and_zero_at_both() -> None:
-    reduction = Reduction(
-        [
-            reference("dark", 0.0, 0.0),
-            reference("baseline", 0.0, 1.0, polarization="s"),
-            reference("baseline", 1000.0, 1.02, polarization="s"),
-        ],
-        DETECTOR,
-    )
-    # relative change 0.02 / 1.01; the bridge of a random walk has variance delta^2 w (1 - w)
-    for w, bridge in ((0.0, 0.0), (0.5, 0.25), (0.25, 0.1875), (1.0, 0.0), (1.5, 0.0)):
-        time_s = np.asarray(1000.0 * w + 0.1 * np.arange(M)[None, :], dtype=np.float64)
-        gain_u = reduction.apply(np.ones((1, M)), NO_SD, ONCE, time_s, ["s"]).gain_u
-        baseline = 1.0 + 0.02 * min(w, 1.0)
-        np.testing.assert_allclose(gain_u, 0.02 * np.sqrt(bridge) / baseline, rtol=1e-9, atol=1e-12)
 
 
 def test_the_stated_uncertainties_are_those_of_ten_thousand_simulated_scans() -> None:
