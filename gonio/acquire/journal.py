@@ -7,6 +7,9 @@
 A record counts when its frame is complete, its checksum holds and the disk has confirmed it.  Death of
 the process or of the power can only leave the last frame torn: it is cut off when the journal is opened
 again.  A frame damaged in the middle (by the disk) is passed over; what it held is measured again.
+
+While a journal is written, zeros stand ahead of its end: a disk confirms bytes that replace others sooner
+than bytes that make a file longer, since the file's length and place need not be confirmed with them.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ import struct
 import sys
 import zlib
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -40,6 +44,7 @@ from gonio.store.records import (
 MAGIC = b"gonio journal 1\n"
 _MARK = b"\xf5rec"
 _FRAME = struct.Struct("<4sII")
+_AHEAD = bytes(1 << 18)  # fifty positions of a hundred wavelengths
 
 _KINDS: dict[str, type[Any]] = {
     "header": ScanHeader,
@@ -135,6 +140,10 @@ class Journal:
         self._lock = lock
         self._descriptor: int | None = descriptor
         self._end = os.lseek(descriptor, 0, os.SEEK_CUR)  # of the last record that the disk has
+        self._zeros_end = self._end
+        self._pending = 0  # bytes that the disk has not confirmed yet
+        self._confirmed: Future[None] | None = None
+        self._disk = ThreadPoolExecutor(1, thread_name_prefix="journal")
 
     @classmethod
     def create(cls, path: Path, header: ScanHeader) -> Journal:
@@ -155,6 +164,7 @@ class Journal:
         try:
             journal = cls(path, FileLock(path), descriptor)
             journal._write(MAGIC + encode(header))
+            journal.confirm()
             sync_folder(path.absolute().parent)
         except BaseException:
             os.close(descriptor)
@@ -198,25 +208,52 @@ class Journal:
 
     def append(self, record: Record) -> None:
         """Write a record and wait until the disk has it."""
+        self.write(record)
+        self.confirm()
+
+    def write(self, record: Record) -> None:
+        """Write a record, and let the disk work at it while something else is done, until `confirm`."""
         self._write(encode(record))
+
+    def confirm(self) -> None:
+        """Wait until the disk has what was written; `StoreError` if it has not, and nothing is kept of it."""
+        confirmed, self._confirmed = self._confirmed, None
+        if confirmed is None:
+            return
+        try:
+            confirmed.result()
+        except OSError as error:
+            raise self._taken_back(error) from error
+        self._end += self._pending
+        self._pending = 0
 
     def _write(self, data: bytes) -> None:
         if self._descriptor is None:
             raise StoreError(f"{self.path}: is closed")
+        self.confirm()
         try:
-            view = memoryview(data)
-            while view:
-                view = view[os.write(self._descriptor, view) :]
-            _sync(self._descriptor)
-        except OSError as error:
-            with suppress(OSError):  # half a record more or less: reading passes over it
-                os.ftruncate(self._descriptor, self._end)
+            if self._end + len(data) > self._zeros_end:
+                _write_all(self._descriptor, bytes(len(data)) + _AHEAD)
+                self._zeros_end = os.lseek(self._descriptor, 0, os.SEEK_CUR)
                 os.lseek(self._descriptor, self._end, os.SEEK_SET)
-            raise StoreError(
-                f"{self.path}: cannot be written ({error}); free some disk space, or restore the connection "
-                "to the disk"
-            ) from error
-        self._end += len(data)
+            _write_all(self._descriptor, data)
+        except OSError as error:
+            raise self._taken_back(error) from error
+        self._pending = len(data)
+        self._confirmed = self._disk.submit(_sync, self._descriptor)
+
+    def _taken_back(self, error: OSError) -> StoreError:
+        """Cut off what may have been written, and return what to raise."""
+        assert self._descriptor is not None
+        self._pending = 0
+        with suppress(OSError):  # half a record more or less: reading passes over it
+            os.lseek(self._descriptor, self._end, os.SEEK_SET)
+            self._zeros_end = self._end
+            os.ftruncate(self._descriptor, self._end)
+        return StoreError(
+            f"{self.path}: cannot be written ({error}); free some disk space, or restore the connection "
+            "to the disk"
+        )
 
     def records(self) -> list[Record]:
         """Return every record after the header, from the disk."""
@@ -224,8 +261,14 @@ class Journal:
 
     def close(self) -> None:
         """Close the journal and give up its lock; more than once does nothing."""
+        if self._descriptor is not None:
+            with suppress(StoreError):  # whoever wrote it has waited for it, or has an error already
+                self.confirm()
         descriptor, self._descriptor = self._descriptor, None
+        self._disk.shutdown()
         if descriptor is not None:
+            with suppress(OSError):
+                os.ftruncate(descriptor, self._end)  # the zeros ahead
             os.close(descriptor)
         self._lock.release()
 
@@ -268,15 +311,22 @@ def _read(path: Path) -> tuple[ScanHeader, list[Record], int, str]:
                 f"{path}: holds a record that this version of gonio does not know ({error}); resume with the "
                 "version that began the scan"
             ) from None
-    if not records or not isinstance(records[0], ScanHeader):
+    if records and not isinstance(records[0], ScanHeader):
+        raise StoreError(
+            f"{path}: its beginning is damaged, so that nothing says what its {len(records)} records belong "
+            f"to; keep it, and a copy of {path.name.removesuffix('.journal')}, which holds what was measured"
+        )
+    if not records:
         raise StoreError(
             f"{path}: the scan died before its first reading; delete this file and start the scan again"
         )
     notes: list[str] = []
     if end > whole:
         notes.append(f"{end - whole} bytes in the middle of the journal are damaged and were passed over")
-    if len(data) > end:
-        notes.append(f"{len(data) - end} bytes of an unfinished record were cut off the journal")
+    torn = len(data[end:].rstrip(b"\0"))  # zeros were written ahead
+    if torn:
+        notes.append(f"{torn} bytes of an unfinished record were cut off the journal")
+    assert isinstance(records[0], ScanHeader)
     return records[0], records[1:], end, "; ".join(notes)
 
 
@@ -299,6 +349,12 @@ def _in_the_way(path: Path) -> StoreError:
         f"{path}: a scan into {data_file} was begun and is not finished; continue it with "
         f"gonio scan --resume {path.with_name(data_file)}, or choose another name"
     )
+
+
+def _write_all(descriptor: int, data: bytes) -> None:
+    view = memoryview(data)
+    while view:
+        view = view[os.write(descriptor, view) :]
 
 
 def _sync(descriptor: int) -> None:

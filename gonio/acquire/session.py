@@ -1,8 +1,9 @@
 """What a scan has on the disk: its journal and the NeXus file made from it, kept in step.
 
-A record is appended to the journal and confirmed by the disk, then written into the `.h5` and flushed.
-Whatever instant the process dies, the journal holds every finished position once; `Session.resume` makes
-the `.h5` anew from it beside the old one, puts it in the old one's place in one step, and goes on.
+A record is appended to the journal; while the disk confirms it, it is written into the `.h5`, which is
+flushed.  It counts when both are done.  Whatever instant the process dies, the journal holds every finished
+position once; `Session.resume` makes the `.h5` anew from it beside the old one, puts it in the old one's
+place in one step, and goes on.
 """
 
 from __future__ import annotations
@@ -67,7 +68,8 @@ class Session:
         refuse_existing(path)
         journal = Journal.create(journal_path(path), header)
         try:
-            return cls(path, header, journal, ScanFile(path, header, plan, "x"), on_record)
+            file, _ = _made(path, header, plan, [])
+            return cls(path, header, journal, file, on_record)
         except BaseException:
             journal.remove()  # nothing was measured, and the name must stay free
             raise
@@ -87,7 +89,7 @@ class Session:
         journal, header, records, note = Journal.reopen(journal_path(path))
         try:
             _refuse_other_rig(path, header.rig, facts)
-            file, remark = _rebuild(path, header, records)
+            file, remark = _made(path, header, _plan_of(path, header), records)
         except BaseException:
             journal.close()
             raise
@@ -106,12 +108,15 @@ class Session:
             return
         must_have_room(self.path, self._reserve)
         try:
-            self._journal.append(record)
-            self._journaled = record
-            self._note(record)
-            if not self._broken:
-                _add(self._file, [record])
-                self._file.flush()
+            self._journal.write(record)
+            try:
+                if not self._broken:
+                    _add(self._file, [record])
+                    self._file.flush()
+            finally:
+                self._journal.confirm()
+                self._journaled = record
+                self._note(record)
         except StoreError:
             if not self._broken:
                 self._broken = True
@@ -127,7 +132,9 @@ class Session:
         if not self._broken:
             return
         prove_room(self.path, self._reserve + 2 * self.path.stat().st_size)
-        self._file, _ = _rebuild(self.path, self.header, self._journal.records())
+        self._file, _ = _made(
+            self.path, self.header, _plan_of(self.path, self.header), self._journal.records()
+        )
         self._broken = False
 
     def _note(self, record: Record) -> None:
@@ -228,9 +235,15 @@ def _add(file: ScanFile, records: Sequence[Record]) -> None:
         file.add_positions(block)
 
 
-def _rebuild(path: Path, header: ScanHeader, records: Sequence[Record]) -> tuple[ScanFile, str]:
-    """Make the file of the records in the place of the old one; return it and a remark on what was lost."""
-    plan = parse_plan(header.plan_text, source=f"the plan in {journal_path(path).name}")
+def _plan_of(path: Path, header: ScanHeader) -> Plan:
+    return parse_plan(header.plan_text, source=f"the plan in {journal_path(path).name}")
+
+
+def _made(path: Path, header: ScanHeader, plan: Plan, records: Sequence[Record]) -> tuple[ScanFile, str]:
+    """Make the file of the records and put it in the place of the old one, if there is one, in one step.
+
+    A file of that name is whole at any instant.  Returned with a remark on what of the old one was lost.
+    """
     temporary = path.with_name(path.name + ".rebuilt")  # under the journal's lock: a leftover is ours
     file = ScanFile(temporary, header, plan, "w")
     try:

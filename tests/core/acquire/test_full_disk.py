@@ -95,6 +95,7 @@ memory = importlib.util.module_from_spec(spec)
 sys.modules["memory_rig"] = memory
 spec.loader.exec_module(memory)
 from gonio.acquire import Runner
+from gonio.acquire.journal import frames
 from gonio.errors import StoreError
 from gonio.plan import parse_plan
 path = pathlib.Path(sys.argv[2])
@@ -103,7 +104,7 @@ left = [int(sys.argv[3])]
 def on_record(record):
     left[0] -= 1
     if left[0] == 0:
-        journal = path.with_name(path.name + ".journal").stat().st_size
+        journal = max(end for end, _ in frames(path.with_name(path.name + ".journal").read_bytes()))
         size = {"journal": journal + 100, "h5": path.stat().st_size + 100}[sys.argv[4]]
         resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
 try:

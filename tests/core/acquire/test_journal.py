@@ -48,6 +48,11 @@ def a_position(index: int = 0) -> PositionRecord:
     )
 
 
+def written(path: Path) -> int:
+    """Return the end of the last record: zeros stand behind it while the journal is open."""
+    return max(end for end, _ in frames(path.read_bytes()))
+
+
 def equal(a: Record, b: Record) -> bool:
     if type(a) is not type(b):
         return False
@@ -134,13 +139,59 @@ def test_no_damage_ever_yields_a_record_that_was_not_written(data: st.DataObject
         assert any(equal(record, candidate) for candidate in positions)
 
 
+def test_a_bit_flipped_anywhere_costs_a_record_or_an_explanation_and_never_makes_one(tmp_path: Path) -> None:
+    path = tmp_path / "a.journal"
+    originals: list[Record] = [a_header(), *(a_position(i) for i in range(3))]
+    good = MAGIC + b"".join(encode(record) for record in originals)
+    header_end = len(MAGIC) + len(encode(originals[0]))
+    for at in range(len(good)):
+        bad = bytearray(good)
+        bad[at] ^= 1 << (at % 8)
+        path.write_bytes(bad)
+        if at < header_end:
+            message = "not the journal of a gonio scan" if at < len(MAGIC) else "its beginning is damaged"
+            with pytest.raises(StoreError, match=message):
+                Journal.reopen(path)
+            assert path.read_bytes() == bad  # nothing is thrown away
+            continue
+        journal, header, records, note = Journal.reopen(path)
+        journal.close()
+        assert equal(header, originals[0])
+        hit = next(i for i in range(3) if at < header_end + (i + 1) * len(encode(a_position())))
+        assert len(records) == 2
+        assert all(
+            equal(a, b) for a, b in zip(records, [a_position(i) for i in range(3) if i != hit], strict=True)
+        )
+        assert note
+
+
+def test_zeros_ahead_of_the_end_are_no_damage(tmp_path: Path) -> None:
+    path = tmp_path / "a.journal"
+    journal = Journal.create(path, a_header())
+    for i in range(3):
+        journal.append(a_position(i))
+    killed = path.read_bytes()  # as a kill leaves it
+    journal.close()
+    assert len(killed) > written(path)
+    assert killed.rstrip(b"\0") == path.read_bytes().rstrip(b"\0")
+    for torn, expected in ((b"", ""), (encode(a_position(3))[:50], "50 bytes of an unfinished record")):
+        path.write_bytes(killed[: written(path)] + torn + bytes(5000))
+        journal, _, records, note = Journal.reopen(path)
+        journal.append(a_position(9))
+        journal.close()
+        assert [r.index for r in records if isinstance(r, PositionRecord)] == [0, 1, 2]
+        assert note.startswith(expected)
+        assert bool(note) == bool(expected)
+        killed = path.read_bytes()[: -len(encode(a_position(9)))]
+
+
 def test_a_record_damaged_in_the_middle_costs_only_itself(tmp_path: Path) -> None:
     path = tmp_path / "a.journal"
     journal = Journal.create(path, a_header())
-    sizes = [path.stat().st_size]
+    sizes = [written(path)]
     for i in range(3):
         journal.append(a_position(i))
-        sizes.append(path.stat().st_size)
+        sizes.append(written(path))
     journal.close()
     data = bytearray(path.read_bytes())
     data[(sizes[1] + sizes[2]) // 2] ^= 0x10
@@ -201,7 +252,7 @@ def test_the_journal_cut_at_every_byte_of_its_last_two_records_resumes(
 
     def on_snapshot(snapshot: Snapshot) -> None:
         if snapshot.state is State.RUNNING:
-            sizes.append(journal_path(path).stat().st_size)
+            sizes.append(written(journal_path(path)))
         if snapshot.done == 6:
             runner.stop()
 

@@ -342,7 +342,7 @@ def test_a_full_disk_ends_the_scan_and_it_resumes_when_there_is_room(
 ) -> None:
     path = tmp_path / "scan.h5"
     written = 0
-    append = Journal.append
+    write = Journal.write
 
     def full(self: Journal, record: Any) -> None:
         nonlocal written
@@ -350,9 +350,9 @@ def test_a_full_disk_ends_the_scan_and_it_resumes_when_there_is_room(
         if written == 7:
             self._write(b"half a rec")
             raise StoreError("No space left on device")
-        append(self, record)
+        write(self, record)
 
-    monkeypatch.setattr(Journal, "append", full)
+    monkeypatch.setattr(Journal, "write", full)
     with pytest.raises(StoreError, match="No space left"):
         Runner(memory.rig(), plan, path).run()
     monkeypatch.undo()
