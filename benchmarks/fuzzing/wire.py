@@ -43,6 +43,7 @@ class BadLine:
         self._damaged_writes = 0
         self._history: deque[bytes] = deque(maxlen=8)
         self._copies: deque[bytes] = deque(maxlen=20)
+        self._shifted = False
         self.delivered = b""  # sent in reply to the requests of the present call
         self.changed = False
         self.forged = False
@@ -53,7 +54,7 @@ class BadLine:
         self._rng = rng
         self._damaged_writes = damaged_writes
         self.delivered = b""
-        self.changed = self.forged = False
+        self.changed = self.forged = self._shifted = False
         self.reads = 0
 
     @property
@@ -83,10 +84,12 @@ class BadLine:
             sent = pieces(rng, changed)
             self.changed |= changed != reply
             copies = [old for old in self._history if old in changed]
-            # The true reply behind a copy comes when its request has been answered: it is one copy more.
-            self._copies.extend([*copies, reply] if copies else [])
+            self._copies.extend(copies)
+            self._shifted |= bool(copies)
         if reply:
             self._history.append(reply)
+        if self._shifted:  # true replies behind a copy come when their requests have been answered
+            self._copies.append(reply)
         due_s = self._time.now_s
         for delay_s, piece in sent:
             due_s = max(due_s + delay_s, self._incoming[-1][0] if self._incoming else 0.0)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 
-_DECIMAL = re.compile(r" *[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)? *", re.ASCII)
+_DECIMAL = re.compile(r" *[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)? *", re.ASCII)
 _FIXED = re.compile(r" *[+-]?\d{1,10}(\.\d*)? *", re.ASCII)
 _WHOLE = re.compile(r" *[+-]?\d{1,10} *", re.ASCII)  # ten digits hold every 32-bit number
 

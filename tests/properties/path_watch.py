@@ -19,7 +19,7 @@ class PathWatch:
         self.disturbed = False  # by a hand, since the last homing or verified move
         self._legal_deg = legal_deg
         self._zone_deg = blind_zone_deg
-        self._by_hand = False
+        self._by_hand = self._tripped = False
         self._began_legally = True
         self._known_fault = Fault.NONE
         for name in ("move_absolute", "home"):
@@ -28,6 +28,10 @@ class PathWatch:
     def by_hand(self) -> None:
         """What moves from now on is moved by somebody else, until the next command."""
         self._by_hand = self.disturbed = True
+
+    def tripped(self) -> None:
+        """A switch that answers now does so by itself, wherever the arm is."""
+        self._tripped = True
 
     def passed(self, start_s: float, end_s: float) -> None:
         """Look at the path between two times, in which no command was given."""
@@ -60,7 +64,7 @@ class PathWatch:
             return
         self._known_fault = fault
         met = fault in (Fault.LOW_LIMIT, Fault.HIGH_LIMIT)
-        if met and not self._by_hand and self._began_legally:
+        if met and not self._by_hand and not self._tripped and self._began_legally:
             self.broken.append(
                 f"{self.motor.hardware.name} met the {fault.value} at {self.motor.angle_deg():.4f} deg "
                 "in a move that began at a legal place"
@@ -74,7 +78,7 @@ class PathWatch:
             here_deg = self.motor.angle_deg()
             inside = low - STEP_DEG <= here_deg <= high + STEP_DEG
             self._began_legally = inside and abs(here_deg) >= self._zone_deg - STEP_DEG
-            self._by_hand = False
+            self._by_hand = self._tripped = False
             self._known_fault = Fault.NONE
             original(*arguments)
 

@@ -15,12 +15,14 @@ from hypothesis import note
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from gonio.errors import GonioError, RefusedError
+from gonio_simulators.bench.motor import Disturbance, Fault
 
 from .machines import RECOVERIES, run_machine
 from .world import STAGES, World
 
 AxisName = Literal["theta_i", "theta_mes"]
 AXES = st.sampled_from(("theta_i", "theta_mes"))
+OPENINGS = 12
 HALF_STEP_DEG = 0.5 / 4266.6
 BORDERS_DEG = (15.0, 180.0, 0.0, 95.0, -0.0, 14.9999, 15.0001, 15.3, 94.6, 95.0001, 179.6, 180.0001, -15.0)
 ABSURD_DEG = (math.nan, math.inf, -math.inf, 1e300, 1e9, -180.0, 5e-324)
@@ -77,7 +79,7 @@ class StageMachine(RuleBasedStateMachine):
         low, high = config.limits_deg
         allowed = low <= target_deg <= high and abs(target_deg) >= config.blind_zone_deg
         before = self.cable.writes
-        error = self.attempt(lambda: self.axis(name).start(target_deg))
+        error = self.attempt(lambda: self.axis(name).start(target_deg), forget=False)
         if allowed:
             assert not isinstance(error, RefusedError) or name == "theta_mes", error
         else:
@@ -89,7 +91,8 @@ class StageMachine(RuleBasedStateMachine):
     @rule(name=AXES)
     def wait(self, name: AxisName) -> None:
         got: list[float] = []
-        error = self.attempt(lambda: got.append(self.axis(name).wait()))
+        # The move may have ended while the other axis was waited for: any instant since it began counts.
+        error = self.attempt(lambda: got.append(self.axis(name).wait()), forget=False)
         if error is None and self.targets[name] is not None:
             self.arrived(name, self.targets[name], got[0])
         self.targets[name] = None
@@ -136,6 +139,37 @@ class StageMachine(RuleBasedStateMachine):
         if self.attempt(lambda: got.append(self.axis(name).position_deg())) is None:
             self.is_real(name, got[0])
 
+    @rule(theta_i_deg=st.floats(0.0, 95.0), theta_mes_deg=st.floats(15.0, 180.0), delay_s=st.floats(0.0, 5.0))
+    def measure_there(self, theta_i_deg: float, theta_mes_deg: float, delay_s: float) -> None:
+        """Move, let a reading take its time, and ask whether nothing has turned meanwhile."""
+        assert self.world is not None
+        got: list[tuple[float, float]] = []
+        error = self.attempt(lambda: got.append(self.rig.move_to(theta_i_deg, theta_mes_deg)))
+        self.targets = {"theta_i": None, "theta_mes": None}
+        if error is None:
+            self.world.time.advance(delay_s)
+            if self.attempt(lambda: self.rig.verify_still(*got[0], None)) is None:
+                for name, angle_deg in zip(("theta_i", "theta_mes"), got[0], strict=True):
+                    slack_deg = self.axis(name).config.tolerance_deg + HALF_STEP_DEG + self.world.backlash_deg
+                    self.is_near(name, angle_deg, slack_deg, "stood still at")
+
+    @rule()
+    def open_again(self) -> None:
+        """A program ends and another begins; the bench and its troubles stay."""
+        assert self.world is not None
+        self.world.time.forget()
+        self.attempt(self.rig.close)
+        self.targets = {"theta_i": None, "theta_mes": None}
+        for _ in range(OPENINGS):
+            if self.attempt(self._open) is None:
+                return
+            self.world.time.advance(20.0)
+        raise AssertionError("the rig could not be opened")
+
+    def _open(self) -> None:
+        assert self.world is not None
+        self.rig = self.world.open_rig()
+
     @rule(duration_s=st.floats(0.0, 20.0))
     def time_passes(self, duration_s: float) -> None:
         assert self.world is not None
@@ -171,6 +205,28 @@ class StageMachine(RuleBasedStateMachine):
 
         self.world.time.at(delay_s, cut)
 
+    @rule(
+        name=AXES,
+        fault=st.sampled_from(
+            (Fault.LOW_LIMIT, Fault.STALL, Fault.OVER_TEMPERATURE, Fault.ENCODER, Fault.NONE)
+        ),
+        part=st.floats(0.0, 1.0),
+        hold_s=st.floats(0.0, 3.0),
+    )
+    def next_move_goes_wrong(self, name: AxisName, fault: Fault, part: float, hold_s: float) -> None:
+        """A switch that answers by itself, a stall, heat, a broken encoder; without a fault a hand."""
+        assert self.world is not None
+        motor, watch = self.world.motors[name], self.world.watches[name]
+
+        def once(homing: bool) -> Disturbance:
+            motor.disturb = None
+            if fault is Fault.NONE:
+                steps = -3.0 * motor.hardware.steps_per_deg
+                return Disturbance(part, lambda _: watch.by_hand(), hand_steps=steps)
+            return Disturbance(part, lambda _: watch.tripped(), fault=fault, hold_s=hold_s)
+
+        motor.disturb = once
+
     @rule(delay_s=st.floats(0.0, 4.0), duration_s=st.floats(0.0, 30.0))
     def cable_is_pulled(self, delay_s: float, duration_s: float) -> None:
         assert self.world is not None
@@ -192,6 +248,8 @@ class StageMachine(RuleBasedStateMachine):
         world.time.forget()
         world.time.advance(60.0)
         self.cable.troubles.clear()
+        for motor in world.motors.values():
+            motor.disturb = None
         world.time.advance(1.0)
         for _ in range(RECOVERIES):  # the first may only find out that the connection is dead
             if (error := self.attempt(self.rig.stage.recover)) is None:
@@ -213,9 +271,10 @@ class StageMachine(RuleBasedStateMachine):
     def axis(self, name: AxisName):
         return self.rig.stage.theta_i if name == "theta_i" else self.rig.stage.theta_mes
 
-    def attempt(self, action: Callable[[], object]) -> GonioError | None:
+    def attempt(self, action: Callable[[], object], *, forget: bool = True) -> GonioError | None:
         """Call a driver: it may fail, but only by an error that a user can act on."""
-        self.cable.said_at_deg.clear()
+        if forget:
+            self.cable.said_at_deg.clear()
         try:
             action()
         except GonioError as error:
