@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from gonio_simulators.bench.bench import Bench
 from gonio_simulators.wire.zaber_message import Request, parse_request
-from gonio_simulators.wire.zaber_settings import PACKET_SIZE
+from gonio_simulators.wire.zaber_settings import COMMAND_PACKETS, PACKET_SIZE
 from gonio_simulators.wire.zaber_stage import RotaryStage
 
 _ALERT_POLL_S = 1e-3  # real seconds between looks at a moving axis that must announce its end
@@ -15,6 +17,7 @@ class ZaberChain:
 
     def __init__(self, bench: Bench, *, theta_i: int, theta_mes: int) -> None:
         limits = bench.config.stage
+        self._begun: Request | None = None  # a command whose packets are not complete
         self.stages = (
             RotaryStage(theta_i, bench.theta_i, serial=120_001, limits_deg=limits.theta_i.limits_deg),
             RotaryStage(theta_mes, bench.theta_mes, serial=120_002, limits_deg=limits.theta_mes.limits_deg),
@@ -36,10 +39,40 @@ class ZaberChain:
             return b""
         if len(line) >= PACKET_SIZE:
             request = Request(request.address, request.axis, request.message_id, ("",), request.has_checksum)
+        if request.words[:1] == ("cont",) or (request.words and request.words[-1].endswith("\\")):
+            joined = self._join(request)
+            if joined is None:
+                return b""
+            request = joined
         if request.words[:1] == ("renumber",):
             return self._renumber(request)
         address = request.address
         return b"".join([s.answer(request) for s in self.stages if address in (0, s.address)])
+
+    def _join(self, packet: Request) -> Request | None:
+        """Add a packet to the command it goes on with; None until the last one, and if it belongs to none.
+
+        A packet that is not the last ends with a backslash; those behind the first begin with ``cont N``.
+        """
+        words = packet.words
+        begun, self._begun = self._begun, None
+        packets = 1
+        if words[0] == "cont":
+            if begun is None or (begun.address, begun.axis, begun.message_id) != (
+                packet.address,
+                packet.axis,
+                packet.message_id,
+            ):
+                return packet  # a device does not know the command `cont`
+            packets = begun.packets + 1
+            if words[1:2] != (str(packets - 1),) or packets > COMMAND_PACKETS:
+                return packet
+            words = begun.words + words[2:]
+        if not words[-1].endswith("\\"):
+            return replace(packet, words=words)
+        last = words[-1][:-1]
+        self._begun = replace(packet, words=words[:-1] + ((last,) if last else ()), packets=packets)
+        return None
 
     def _renumber(self, request: Request) -> bytes:
         """Number the addressed devices upwards along the chain, from 1 or from the number given."""

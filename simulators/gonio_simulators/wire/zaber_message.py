@@ -38,6 +38,7 @@ class Request:
     message_id: str  # two digits, empty, `NO_REPLY` or `BAD_ID`
     words: tuple[str, ...]
     has_checksum: bool
+    packets: int = 1  # how many lines it came in
 
 
 def checksum(text: str) -> int:

@@ -11,6 +11,7 @@ MAX_SPEED = RESOLUTION * 16384  # firmware's ceiling of maxspeed
 MAX_ACCELERATION = 32767
 DEVICE_ID = 50952  # stands for an X-RST; the vendor's table of ids is online only and could not be consulted
 PACKET_SIZE = 80  # longest command line, terminator included
+COMMAND_PACKETS = 8  # lines of one command; the real number is not known
 FIRMWARE = "7.35"
 STORED_POSITIONS = 16
 
@@ -56,6 +57,7 @@ def identity_settings(serial: int) -> dict[str, Setting]:
     device: dict[str, object] = {
         "deviceid": DEVICE_ID,
         "device.id": DEVICE_ID,
+        "device.hw.modified": 0,
         "system.serial": serial,
         "version": FIRMWARE,
         "version.build": 16151,
@@ -65,7 +67,7 @@ def identity_settings(serial: int) -> dict[str, Setting]:
         "system.temperature": "31.4",
         "comm.packet.size.max": PACKET_SIZE,
         "comm.word.size.max": 50,
-        "comm.command.packets.max": 1,
+        "comm.command.packets.max": COMMAND_PACKETS,
         "comm.protocol": 2,
     }
     settings = {name: Setting(_constant(value), of_device=True) for name, value in device.items()}

@@ -76,7 +76,7 @@ def test_a_command_may_come_in_pieces_and_end_in_cr(talk) -> None:
         (b"/1 1 tools echo hello", b"@01 1 RJ IDLE WR DEVICEONLY"),
         (b"/1 0 lockstep 1 info", b"@01 0 RJ IDLE WR BADCOMMAND"),
         (b"/1 0 io info", b"@01 0 RJ IDLE WR BADCOMMAND"),
-        (b"/1 0 get peripheral.id", b"@01 0 RJ IDLE WR BADCOMMAND"),
+        (b"/1 1 get peripheralid", b"@01 1 RJ IDLE WR BADCOMMAND"),  # the axis is built in
         (b"/1 1 get driver.enabled", b"@01 1 OK IDLE WR 1"),
         (b"/1 0 storage get nothing", b"@01 0 RJ IDLE WR BADDATA"),
         (b"/1 0 tools echo hello there", b"@01 0 OK IDLE WR hello there"),

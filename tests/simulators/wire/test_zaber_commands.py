@@ -126,3 +126,16 @@ def test_help_is_information_behind_the_reply(talk) -> None:
     reply, information, _ = talk.feed(b"/2 0 03 help\n").split(b"\r\n")
     assert reply == b"@02 0 03 OK IDLE WR 0"
     assert information.startswith(b"#02 0 03 ")
+
+
+def test_a_long_command_comes_in_packets(talk) -> None:
+    assert talk.feed(b"/1 0 04 storage set k one two\\\n") == b""
+    assert talk.feed(b"/1 0 04 cont 1 three\\\n/1 0 04 cont 2 four\n") == b"@01 0 04 OK IDLE WR 0\r\n"
+    assert talk.feed(b"/1 0 storage get k\n") == b"@01 0 OK IDLE WR one two three four\r\n"
+    assert talk.feed(b"/1 0 05 cont 1 five\n") == b"@01 0 05 RJ IDLE WR BADCOMMAND\r\n"
+    assert (
+        talk.feed(b"/1 0 06 storage set k six\\\n/1 0 06 cont 2 eight\n")
+        == b"@01 0 06 RJ IDLE WR BADCOMMAND\r\n"
+    )
+    talk.feed(b"/1 0 07 storage set k nine\\\n")
+    assert talk.feed(b"/1 0 08\n") == b"@01 0 08 OK IDLE WR 0\r\n"  # another command, as usual
