@@ -214,12 +214,12 @@ class AppliedMotionDrive:
         Otherwise nothing is written: a mark or a profile written to a drive that was switched off just after
         the question would hide that it was.
         """
-        if self.confirm() is not None:
+        if self.confirm(0) is not None:
             self._referenced = False
             self._set_speeds()
             self._marks = self._keeps_mark()
 
-    def confirm(self) -> str | None:
+    def confirm(self, position_steps: int) -> str | None:
         """Look for the mark: a drive that was switched off counts from zero again, wherever it stands."""
         if self._marks:
             forgotten = self._line.read(self._unit, PARAMETER_5, 1) != [MARK]

@@ -116,7 +116,8 @@ class MotorAxis:
         """
         state = self._drive.state()
         why = None if state.referenced else "has no reference (it was switched off, or never homed)"
-        why = why or self._drive.confirm()
+        if not self._drive.reports_reference:
+            why = why or self._drive.confirm(state.position_steps)
         if why is not None:
             raise self._distrusted(why, "home it, which opening the rig again does")
         return self._degrees(state.position_steps)
@@ -327,7 +328,7 @@ class MotorAxis:
         Without a known place of rest (the last move was stopped, or never waited for) it is asked.
         """
         if self._rests_at_deg is None:
-            if (why := self._drive.confirm()) is not None:
+            if (why := self._drive.confirm(self._steps(here_deg))) is not None:
                 raise self._distrusted(f"{why}; it reads {here_deg:.3f} deg", "home it")
         elif not self._is_at(here_deg, self._rests_at_deg):
             raise self._distrusted(
@@ -439,12 +440,6 @@ class MotorAxis:
                 f"{what} at {here_deg:.3f} deg instead of {aim_deg:g} +- {self._config.tolerance_deg:g} deg",
                 "look for an obstacle, a stall or a hand on the knob; then home the axis and repeat",
             )
-        if (why := self._drive.confirm()) is not None:
-            raise self._distrusted(
-                f"{why}; it reads {here_deg:.3f} deg", "check its power supply, then home the axis and repeat"
-            )
-        if move.homing:
-            self._doubts = None
         if move.leg + 1 < len(move.legs_deg):
             move.leg += 1
             self._begin_leg(move, here_deg)
@@ -452,6 +447,12 @@ class MotorAxis:
             self._clock.sleep(self._config.settle_s)  # then one more poll proves that it stayed
             move.settled = True
         else:
+            if (why := self._drive.confirm(state.position_steps)) is not None:
+                raise self._distrusted(
+                    f"{why}; it reads {here_deg:.3f} deg", "look for its cause, then home the axis and repeat"
+                )
+            if move.homing:
+                self._doubts = None
             self._stands_at_steps = None if move.homing else self._steps(move.target_deg)
             self._rests_at_deg = here_deg
             move.result_deg = here_deg

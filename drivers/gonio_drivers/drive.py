@@ -74,11 +74,11 @@ class Drive(Protocol):
         """
         ...
 
-    def confirm(self) -> str | None:
-        """Return why the count cannot be trusted although `state` looks well, None if it can.
+    def confirm(self, position_steps: int) -> str | None:
+        """Return why the count `position_steps` cannot be trusted though `state` looks well, None if it can.
 
-        Called once at the end of each motion; a drive whose `state` says everything returns None without
-        asking.
+        Called at rest, once at the end of each motion; a drive whose `state` says everything returns None
+        without asking.
         """
         ...
 

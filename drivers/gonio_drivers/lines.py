@@ -117,7 +117,7 @@ class Line:
             if self._in_doubt:
                 self._drain_until_quiet()
                 if prove is not None:
-                    prove()
+                    self._prove(prove)
                 self._look_for_unasked(in_doubt=False)
                 self._in_doubt = False
             try:
@@ -306,6 +306,16 @@ class Line:
                 self._discard(unasked)
                 self._in_doubt = in_doubt
 
+    def _prove(self, prove: Callable[[], None]) -> None:
+        """Prove that both ends are in step, once more if it was a late reply that spoiled the first proof."""
+        try:
+            prove()
+        except NoReply:
+            raise
+        except ReplyError:
+            self._drain_until_quiet()
+            prove()
+
     def _drain_until_quiet(self) -> None:
         self._discard(bytes(self._buffer))
         self._buffer.clear()
@@ -336,7 +346,7 @@ class Line:
         return ConnectionFailed(
             self.device,
             f"the connection was lost ({self._lost_by})",
-            "check cable and power; a scan goes on by itself once it is back, or with --resume",
+            "check cable and power, then repeat (a running scan tries by itself)",
         )
 
 

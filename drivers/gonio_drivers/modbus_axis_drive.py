@@ -162,14 +162,14 @@ class RegisterDrive:
         One that forgot nothing is left as it is: what is written to a drive that was switched off just after
         the question would hide that it was.
         """
-        forgotten = self.confirm() is not None
+        forgotten = self.confirm(0) is not None
         if forgotten:
             self._referenced = False
         can_tell = self._map.mark is not None or bool(self._map.readable_settings())
         if forgotten or self.reports_reference or not can_tell:
             self._set_up()
 
-    def confirm(self) -> str | None:
+    def confirm(self, position_steps: int) -> str | None:
         """Look for what a drive that was switched off has forgotten: the mark, or speed and accelerations."""
         if self.reports_reference:
             return None

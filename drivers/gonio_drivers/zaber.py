@@ -27,6 +27,8 @@ SPEED_UNITS_PER_STEP_S = 1.6384
 ACCELERATION_UNITS_PER_STEP_S2 = 1.6384e-4
 _ROUNDING = 0.01  # by which a device may round a speed
 
+_ENCODER_TOLERANCES = 3.0  # how far encoder and counter may differ, in tolerances of the axis
+
 
 class ZaberAxisConfig(MotorConfig):
     """One stage of the chain."""
@@ -59,6 +61,8 @@ class ZaberDrive:
         self.device = f"{name} (Zaber device {config.device}) on the {line.line.device}"
         self._config = config
         self._identity: tuple[str, str, str] | None = None
+        self._has_encoder: bool | None = None  # not asked yet
+        self._encoder_agrees = False  # it has, somewhere else than at zero
         self._set_speeds()
 
     def describe(self) -> str:
@@ -78,9 +82,31 @@ class ZaberDrive:
             )
         self._set_speeds()
 
-    def confirm(self) -> str | None:
-        """Nothing to ask: every reply carries the flags that tell of a lost reference."""
-        return None
+    def confirm(self, position_steps: int) -> str | None:
+        """Ask the encoder, if there is one: a controller that counts steps does not notice those it lost.
+
+        A lost reference needs no asking, every reply carries its flag.
+        """
+        if self._has_encoder is False:
+            return None
+        try:
+            encoder_steps = round(fixed(self._line.query(self._device, self._axis, "get encoder.pos").data))
+        except ReplyError:
+            raise
+        except (DeviceError, ValueError):  # it does not know the setting: an open-loop stage
+            self._has_encoder = False
+            return None
+        self._has_encoder = True
+        lost_steps = encoder_steps - position_steps
+        # A stepping motor loses whole electrical turns: four full steps, 0.06 deg of an X-RST.
+        allowed_steps = _ENCODER_TOLERANCES * self._config.tolerance_deg * abs(self._config.steps_per_deg)
+        if abs(lost_steps) <= allowed_steps:
+            self._encoder_agrees |= abs(position_steps) > allowed_steps
+            return None
+        if not self._encoder_agrees:  # it never did: no encoder, or one that counts otherwise
+            self._has_encoder = False
+            return None
+        return f"its encoder is {lost_steps} steps off its counter: it lost steps on its way"
 
     def state(self) -> DriveState:
         """Ask for position, motion and faults in one reply, and for all flags if one might hide a fault."""

@@ -71,7 +71,7 @@ class Motor:
     def resume(self) -> None:
         self.log.append("resume")
 
-    def confirm(self) -> str | None:
+    def confirm(self, position_steps: int) -> str | None:
         return self.forgotten
 
 

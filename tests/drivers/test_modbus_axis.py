@@ -323,13 +323,13 @@ def test_a_drive_that_was_switched_off_has_forgotten_its_speed(played):
     drive = stage.theta_i._drive
     assert not drive.reports_reference
     replies = drive._line.line.statistics.replies
-    assert drive.confirm() is None
+    assert drive.confirm(0) is None
     assert drive._line.line.statistics.replies == replies + 1, "three settings side by side: one read"
     drive._line.write(1, 0x5E, [0, 7])
-    assert "switched off" in drive.confirm()
+    assert "switched off" in drive.confirm(0)
     drive.resume()
     assert drive._line.read(1, 0x5E, 2) == [0, 20_000], "20 deg/s of 1000 steps"
-    assert drive.confirm() is None
+    assert drive.confirm(0) is None
     assert not drive.state().referenced
 
 

@@ -204,3 +204,30 @@ def test_a_move_whose_reply_fails_is_not_sent_again(scripted):
     axis = drive(scripted, (b"/1 1 05 move abs 100\n", []))
     with pytest.raises(NoReply):
         axis.move_to(100)
+
+
+# -- the encoder ---------------------------------------------------------------------
+
+
+def encoder(number: int, answer: bytes) -> tuple[bytes, bytes]:
+    return b"/1 1 %02d get encoder.pos\n" % number, b"@01 1 %02d OK IDLE -- %s\r\n" % (number, answer)
+
+
+def test_an_encoder_tells_of_lost_steps_once_it_has_agreed(scripted):
+    axis = drive(scripted, encoder(5, b"0"), encoder(6, b"85335"), encoder(7, b"84000"))
+    assert axis.confirm(0) is None  # at zero every encoder agrees
+    assert axis.confirm(85_333) is None
+    assert "-1333 steps off its counter" in axis.confirm(85_333)
+
+
+def test_an_encoder_that_never_agreed_is_none(scripted):
+    axis = drive(scripted, encoder(5, b"0"))
+    assert axis.confirm(85_333) is None
+    assert axis.confirm(85_333) is None  # not asked again
+
+
+def test_a_stage_without_an_encoder_is_asked_once(scripted):
+    refused = b"/1 1 05 get encoder.pos\n", b"@01 1 05 RJ IDLE -- BADCOMMAND\r\n"
+    axis = drive(scripted, refused)
+    assert axis.confirm(85_333) is None
+    assert axis.confirm(85_333) is None
