@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from gonio import __version__
 from gonio.errors import StoreError
 from gonio.facade.geometry import Vector
+from gonio.store.read import opened
 
 FloatArray = NDArray[np.float64]
 
@@ -221,15 +222,13 @@ def load_irradiance(path: str | Path) -> Irradiance:
     `StoreError` if there is no such file, or it holds no facade irradiance.
     """
     path = Path(path)
-    if not path.is_file():
-        raise StoreError(f"{path}: there is no such file; check the path, or run gonio facade first")
-    try:
-        with h5py.File(path, "r") as file:
+    with opened(path, "r") as file:
+        try:
             return _read(file)
-    except (OSError, KeyError) as error:
-        raise StoreError(
-            f"{path}: holds no facade irradiance ({error}); name a file written by gonio facade"
-        ) from None
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise StoreError(
+                f"{path}: holds no facade irradiance ({error}); name a file written by gonio facade"
+            ) from None
 
 
 def _read(file: Any) -> Irradiance:

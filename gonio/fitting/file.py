@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import datetime
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,8 @@ import gonio
 from gonio.aperture import Aperture
 from gonio.errors import StoreError
 from gonio.fitting.result import PARAMETERS, FitResult
+from gonio.store.checked import Checked
+from gonio.store.read import opened
 
 _TEXT = h5py.string_dtype("utf-8")
 _NAME = re.compile(r"[A-Za-z0-9_]+")
@@ -89,20 +93,16 @@ def load_fit(path: Path | str, name: str | None = None) -> FitResult:
         return _read(entry[f"fit_{name}"], f"{path}:/entry/fit_{name}")
 
 
-def _opened(path: Path | str, mode: str) -> Any:
-    path = Path(path)
-    if not path.is_file():
-        raise StoreError(f"{path}: there is no such file; check the path")
-    try:
-        file = h5py.File(path, mode)
-    except OSError as error:
-        raise StoreError(
-            f"{path}: cannot be opened as HDF5 ({error}); is another program writing it?"
-        ) from None
-    if not isinstance(file.get("entry"), h5py.Group):
-        file.close()
-        raise StoreError(f"{path}: is not a gonio scan, /entry is missing; give a file written by gonio scan")
-    return file
+@contextmanager
+def _opened(path: Path | str, mode: str) -> Iterator[Any]:
+    with opened(Path(path), mode) as file:
+        parts = Checked(Path(path), file)
+        if not parts.has("entry"):
+            raise StoreError(
+                f"{path}: is not a gonio scan, /entry is missing; give a file written by gonio scan"
+            )
+        parts.group("entry")
+        yield file
 
 
 def _write(group: Any, fit: FitResult) -> None:

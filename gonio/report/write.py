@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import h5py
-
 from gonio.errors import ConfigError, StoreError
 from gonio.report import style
 from gonio.report.content import read_content
@@ -74,11 +72,14 @@ def write_any_report(file_h5: Path, out_dir: Path, *, facade_h5: Path | None = N
 
 def is_facade(path: Path) -> bool:
     """Say whether a file is a facade result; `StoreError` if it is no HDF5 file at all."""
+    from gonio.store.checked import Checked
     from gonio.store.read import opened
 
     with opened(path, "r") as file:
-        kind = file.get("entry/experiment_type")
-        return isinstance(kind, h5py.Dataset) and kind.shape == () and kind.asstr()[()] == FACADE_TYPE
+        parts = Checked(path, file)
+        if not (parts.has("entry") and parts.has("entry/experiment_type")):
+            return False
+        return parts.text("entry/experiment_type") == FACADE_TYPE
 
 
 def _load_irradiance(path: Path) -> Irradiance:

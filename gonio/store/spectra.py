@@ -19,6 +19,7 @@ import numpy as np
 
 from gonio.devices import FloatArray
 from gonio.errors import StoreError
+from gonio.store.checked import Checked
 from gonio.store.layout import SPECTRUM_GROUPS
 from gonio.store.read import opened
 
@@ -74,21 +75,17 @@ def read_spectrum(path: str | os.PathLike[str], group: str) -> dict[str, FloatAr
     path = Path(path)
     _check_group(group)
     with opened(path, "r") as file:
-        found = file.get(f"entry/{group}")
-        if not isinstance(found, h5py.Group):
+        parts = Checked(path, file)
+        if not parts.has("entry") or not parts.has(f"entry/{group}"):
             raise StoreError(
                 f"{path}: holds no /entry/{group}; bring one in with gonio.store.attach_csv_spectrum"
             )
         columns: dict[str, FloatArray] = {}
-        length = None
-        for name in found.attrs["columns"]:
-            dataset = found[_dataset_name(str(name))]
-            if dataset.size * 8 > path.stat().st_size or (length is not None and dataset.shape != (length,)):
-                raise StoreError(
-                    f"{path}: /entry/{group}/{name} declares {dataset.shape} values; restore the file"
-                )
-            length = dataset.shape[0]
-            columns[str(name)] = np.asarray(dataset[...], dtype=np.float64)
+        shape = None
+        for name in parts.group(f"entry/{group}").attrs["columns"]:
+            where = f"entry/{group}/{_dataset_name(str(name))}"
+            columns[str(name)] = parts.numbers(where, 1, "f", shape)
+            shape = columns[str(name)].shape
         return columns
 
 

@@ -27,7 +27,7 @@ WARN_DARK = 0.0005
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """The largest change between two neighbouring references of one kind, as one detector saw it.
+    """A change between two neighbouring references of one kind, as one detector saw it.
 
     `relative` is the change over the full beam, `noise` its standard error.
     """
@@ -103,7 +103,7 @@ def no_beam_message(missing: Sequence[tuple[ReferenceRecord, int]], detector_nam
 def changes(
     reduction: Reduction, references: Sequence[ReferenceRecord], detector_index: NDArray[np.uint8]
 ) -> list[Change]:
-    """Return, for each kind, polarization and detector, the largest change that noise does not explain.
+    """Return, for each kind and polarization, the largest change that noise does not explain.
 
     `reduction` was made of the same references.
     """
@@ -119,17 +119,18 @@ def changes(
         if series is None:
             continue
         rows = [r for r in in_order(references) if (r.kind, r.polarization) == (kind, polarization)]
+        each: list[Change] = []
         for detector in np.unique(detector_index).tolist():
             own = detector_index == detector
-            each = [
+            each += [
                 Change(
                     kind, polarization, detector, rows[k], rows[k + 1], *_change(series, k, kind, own, full)
                 )
                 for k in range(len(rows) - 1)
             ]
-            each = [change for change in each if abs(change.relative) > _SIGNIFICANT * change.noise]
-            if each:
-                found.append(max(each, key=lambda change: abs(change.relative)))
+        each = [change for change in each if abs(change.relative) > _SIGNIFICANT * change.noise]
+        if each:
+            found.append(max(each, key=lambda change: abs(change.relative)))
     return found
 
 

@@ -80,7 +80,7 @@ def test_unreadable_and_unwritable_files(result: Irradiance, tmp_path: Path) -> 
     with pytest.raises(StoreError, match="there is no such file"):
         load_irradiance(tmp_path / "none.h5")
     (tmp_path / "text.h5").write_text("no HDF5")
-    with pytest.raises(StoreError, match="holds no facade irradiance"):
+    with pytest.raises(StoreError, match="is not an HDF5 file"):
         load_irradiance(tmp_path / "text.h5")
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file.create_group("entry")

@@ -79,7 +79,7 @@ def test_refusals(fit: FitResult, scan_file: Path, tmp_path: Path) -> None:
         load_fit(tmp_path / "none.h5")
     text = tmp_path / "text.h5"
     text.write_text("not HDF5")
-    with pytest.raises(StoreError, match="cannot be opened as HDF5"):
+    with pytest.raises(StoreError, match="is not an HDF5 file"):
         fit.save(text)
     with h5py.File(scan_file, "r+") as file:
         del file["entry/fit_exact_joint/covariance"]

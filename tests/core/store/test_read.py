@@ -125,7 +125,7 @@ def test_missing_empty_and_foreign_files_are_named(tmp_path: Path) -> None:
     (tmp_path / "text.h5").write_text("theta, r\n1, 2\n" * 1000)
     with pytest.raises(StoreError, match="is not an HDF5 file"):
         gonio.load(tmp_path / "text.h5")
-    with pytest.raises(StoreError, match="is not an HDF5 file"):
+    with pytest.raises(StoreError, match="is a folder and not an HDF5 file"):
         gonio.load(tmp_path)
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file["results"] = [1.0, 2.0]
@@ -162,7 +162,7 @@ HOSTILE: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     ),
     "external link": (
         replace("entry/data/r", lambda g, n: g.__setitem__(n, h5py.ExternalLink("x.h5", "/r"))),
-        "is a link out of its place",
+        r"/entry/data/r is a link to another file \(x\.h5\)",
     ),
     "external storage": (
         replace(
@@ -177,7 +177,7 @@ HOSTILE: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     ),
     "huge rows": (
         replace("entry/data/r", lambda g, n: g.create_dataset(n, (HUGE, 5), "f8", chunks=(1, 5))),
-        r"/entry/data/theta_i has shape \(10,\), expected",
+        "values, more than are stored",
     ),
     "huge everything": (
         lambda f: (
