@@ -21,6 +21,7 @@ from gonio_drivers.drive import DriveState, MotorConfig
 from gonio_drivers.lines import connecting
 from gonio_drivers.modbus import Framing, ModbusLine, WordOrder, open_modbus
 from gonio_drivers.stage import MotorStage
+from gonio_drivers.transport import Parity
 
 ALARM, STATUS, ENCODER, POSITION = 0x00, 0x01, 0x04, 0x06
 ACCELERATION, DECELERATION, VELOCITY, TARGET = 0x1B, 0x1C, 0x1D, 0x1E
@@ -96,6 +97,7 @@ class AppliedMotionStageConfig(StageConfig):
     framing: Framing = "rtu"
     word_order: WordOrder = "big"  # big for PR=5, little for PR=133
     baudrate: Count = 115200
+    parity: Parity = "none"  # of a serial line; Modbus' own default is even, these drives' is none
     home_on_connect: bool = True  # the drive cannot say whether it has a reference
     theta_i: AppliedMotionAxisConfig
     theta_mes: AppliedMotionAxisConfig
@@ -306,6 +308,7 @@ def open_stage(config: AppliedMotionStageConfig, context: Context) -> MotorStage
         framing=config.framing,
         word_order=config.word_order,
         baudrate=config.baudrate,
+        parity=config.parity,
     )
     with connecting(line.line):
         drives = {

@@ -23,7 +23,7 @@ from typing import TypeVar
 from gonio.errors import ConnectionFailed, DeviceError, ReplyError
 from gonio.rig import Context
 from gonio.wirelog import GAVE_UP, LOST, THREW_AWAY
-from gonio_drivers.transport import Opener, Port
+from gonio_drivers.transport import Opener, Parity, Port
 from gonio_drivers.wirelog import WireLog
 
 REPLY_TIMEOUT_S = 2.0
@@ -374,6 +374,7 @@ def open_line(
     *,
     protocol: str = "raw",
     baudrate: int = 9600,
+    parity: Parity = "none",
     reply_timeout_s: float = REPLY_TIMEOUT_S,
 ) -> Line:
     """Open an address as a `Line`, logged if the context asks for it.
@@ -403,7 +404,7 @@ def open_line(
     log = None
     if context.wire_log is not None:
         log = WireLog(context.wire_log, role, address, context.clock, protocol=protocol)
-    opener = Opener(role, address, baudrate)
+    opener = Opener(role, address, baudrate, parity)
     try:
         port = opener()
     except BaseException as error:

@@ -31,6 +31,7 @@ from pymodbus.transport import CommParams, CommType
 from gonio.errors import DeviceError
 from gonio.rig import Context
 from gonio_drivers.lines import Line, NoReply, open_line
+from gonio_drivers.transport import Parity
 
 Framing = Literal["rtu", "tcp"]
 WordOrder = Literal["big", "little"]
@@ -344,7 +345,14 @@ def _shown(reply: ModbusPDU) -> bytes:
 
 
 def open_modbus(
-    role: str, address: str, context: Context, *, framing: Framing, word_order: WordOrder, baudrate: int
+    role: str,
+    address: str,
+    context: Context,
+    *,
+    framing: Framing,
+    word_order: WordOrder,
+    baudrate: int,
+    parity: Parity = "none",
 ) -> ModbusLine:
     """Open an address for Modbus.
 
@@ -354,7 +362,13 @@ def open_modbus(
         The address cannot be opened.
     """
     line = open_line(
-        role, address, context, protocol=f"modbus-{framing}", baudrate=baudrate, reply_timeout_s=1.0
+        role,
+        address,
+        context,
+        protocol=f"modbus-{framing}",
+        baudrate=baudrate,
+        parity=parity,
+        reply_timeout_s=1.0,
     )
     serial_rtu = framing == "rtu" and "://" not in address
     # Modbus over Serial Line V1.02, 2.5.1.1: 3.5 characters of 11 bits, fixed at 1.75 ms above 19200 baud

@@ -21,6 +21,7 @@ from gonio_drivers.modbus_axis_map import RegisterMap
 from gonio_drivers.modbus_axis_reads import Span, choose_canary, joined, plan_reads
 from gonio_drivers.modbus_axis_values import limits
 from gonio_drivers.stage import MotorStage
+from gonio_drivers.transport import Parity
 from gonio_drivers.two_axes import open_two_axes
 
 
@@ -37,6 +38,7 @@ class RegisterStageConfig(StageConfig):
     framing: Framing = "rtu"
     word_order: WordOrder = "big"  # which half of a 32-bit number has the lower address
     baudrate: Count = 115200
+    parity: Parity = "none"  # of a serial line; Modbus' own default is even
     home_on_connect: bool = True  # for drives that cannot say whether they have a reference
     registers: RegisterMap | None = None  # the map of both axes
     theta_i: RegisterAxisConfig
@@ -179,6 +181,7 @@ def open_stage(config: RegisterStageConfig, context: Context) -> MotorStage:
         framing=config.framing,
         word_order=config.word_order,
         baudrate=config.baudrate,
+        parity=config.parity,
     )
     with connecting(line.line):
         for unit, canary in config.canaries().items():

@@ -131,8 +131,8 @@ class ScanningSpectrometer:
             ``sample`` and ``direct`` open the shutter, ``dark`` closes it; each keeps its own amplifier
             ranges.
         averages
-            Readings per wavelength, one number or (n_wavelength,), spaced so that their noise is nearly independent
-            (`gonio_drivers.sr830.SPACING_TIME_CONSTANTS`).
+            Readings per wavelength, one number or (n_wavelength,), spaced so that their noise is nearly
+            independent (`gonio_drivers.sr830.SPACING_TIME_CONSTANTS`).
         on_reading
             Called with the index after each reading; what it raises ends the pass.
 

@@ -15,7 +15,7 @@ import math
 import select
 import socket
 import time
-from typing import Protocol
+from typing import Literal, Protocol
 from urllib.parse import urlsplit
 
 import serial
@@ -24,6 +24,9 @@ from gonio.errors import ConnectionFailed
 from gonio.rig import SIMULATED
 from gonio_drivers.usb import SCHEME as USB
 from gonio_drivers.usb import UsbIdentity, device_of, identity_of, parse_usb_address
+
+Parity = Literal["none", "even", "odd"]
+_PARITY = {"none": serial.PARITY_NONE, "even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD}
 
 CONNECT_TIMEOUT_S = 5.0
 WRITE_TIMEOUT_S = 2.0
@@ -133,14 +136,14 @@ class SocketPort:
 
 
 class SerialPort:
-    """A serial port, opened exclusively; 8 data bits, no parity, 1 stop bit, as every device here wants."""
+    """A serial port, opened exclusively; 8 data bits, 1 stop bit, and no parity unless it is asked for."""
 
-    def __init__(self, address: str, baudrate: int) -> None:
+    def __init__(self, address: str, baudrate: int, parity: Parity = "none") -> None:
         self._serial = serial.serial_for_url(
             address,
             baudrate=baudrate,
             bytesize=serial.EIGHTBITS,
-            parity=serial.PARITY_NONE,
+            parity=_PARITY[parity],
             stopbits=serial.STOPBITS_ONE,
             timeout=_SERIAL_SLICE_S,
             write_timeout=WRITE_TIMEOUT_S,
@@ -170,7 +173,7 @@ class SerialPort:
             self._serial.close()
 
 
-def open_port(role: str, address: str, *, baudrate: int) -> Port:
+def open_port(role: str, address: str, *, baudrate: int, parity: Parity = "none") -> Port:
     """Open an address.
 
     Parameters
@@ -181,6 +184,8 @@ def open_port(role: str, address: str, *, baudrate: int) -> Port:
         Device path, COM port or URL.
     baudrate
         Bits per second of a serial port; a socket has none.
+    parity
+        Of a serial port.
 
     Raises
     ------
@@ -198,7 +203,7 @@ def open_port(role: str, address: str, *, baudrate: int) -> Port:
         if address.startswith("socket://"):
             host, port = _host_and_port(address)
             return SocketPort(host, port)
-        return SerialPort(address, baudrate)
+        return SerialPort(address, baudrate, parity)
     except ValueError as error:
         raise ConnectionFailed(
             device,
@@ -214,14 +219,15 @@ class Opener:
 
     Parameters
     ----------
-    role, address, baudrate
+    role, address, baudrate, parity
         As for `open_port`.
     """
 
-    def __init__(self, role: str, address: str, baudrate: int) -> None:
+    def __init__(self, role: str, address: str, baudrate: int, parity: Parity = "none") -> None:
         self._role = role
         self._address = address
         self._baudrate = baudrate
+        self._parity: Parity = parity
         self._identity: UsbIdentity | None = None
 
     def __call__(self) -> Port:
@@ -229,7 +235,7 @@ class Opener:
         address = self._address
         if self._identity is not None or address.startswith(USB):
             address = self._found()
-        port = open_port(self._role, address, baudrate=self._baudrate)
+        port = open_port(self._role, address, baudrate=self._baudrate, parity=self._parity)
         if self._identity is None and "://" not in address:
             self._identity = identity_of(address)
         return port

@@ -8,7 +8,7 @@ its maker gave it one, else the socket it sits in.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -86,3 +86,15 @@ def device_of(identity: UsbIdentity, ports: Iterable[_PortInfo] | None = None) -
             f"{len(found)} USB adapters are {identity} ({', '.join(found)}); add the serial number of one"
         )
     return found[0]
+
+
+def main(argv: Sequence[str]) -> int:
+    """Print every serial port of this machine with the address that stays (`gonio devices --ports`)."""
+    del argv
+    ports = sorted(comports(), key=lambda port: port.device)
+    for port in ports:
+        identity = identity_of(port.device, ports)
+        print(f"{port.device:<20}{'' if identity is None else identity!s:<36}{port.description}")
+    if not ports:
+        print("no serial port on this machine")
+    return 0

@@ -96,6 +96,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
 
     devices = commands.add_parser("devices", help="what is connected and answering")
+    devices.add_argument("--ports", action="store_true", help="list the serial ports of this machine instead")
     _rig_option(devices)
 
     for name, text in ELSEWHERE.items():
@@ -180,6 +181,8 @@ def _run(options: argparse.Namespace) -> int:
     if options.command == "devices":
         from gonio.cli.acquisition import devices
 
+        if options.ports:
+            return _run_elsewhere("ports", [])
         return devices(options.rig)
     raise AssertionError(options.command)
 

@@ -11,6 +11,7 @@ import pytest
 from gonio.clock import Clock
 from gonio.errors import ConnectionFailed, DeviceError, MotionError
 from gonio.rig import Context
+from gonio_drivers import usb
 from gonio_drivers.lines import Line, open_line
 from gonio_drivers.stage import MotorStage
 from gonio_drivers.usb import UsbIdentity, device_of, identity_of, parse_usb_address
@@ -356,3 +357,17 @@ def test_what_turns_during_a_pass_is_found_out(disturb, words):
     with pytest.raises(MotionError, match=words):
         axis.verify_still(30.0)
     assert axis.needs_home()
+
+
+def test_the_ports_of_this_machine_are_listed_with_the_address_that_stays(monkeypatch, capsys):
+    @dataclass
+    class Described(Plugged):
+        description: str = "USB-RS232 adapter"
+
+    monkeypatch.setattr(
+        usb, "comports", lambda: [Described("/dev/ttyUSB1"), Described("/dev/ttyS0", vid=None)]
+    )
+    assert usb.main([]) == 0
+    nothing, adapter = capsys.readouterr().out.splitlines()
+    assert nothing.split() == ["/dev/ttyS0", "USB-RS232", "adapter"]
+    assert adapter.split()[:2] == ["/dev/ttyUSB1", "usb://0403:6001/A6008isP"]

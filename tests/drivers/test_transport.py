@@ -126,3 +126,15 @@ def test_wire_log_tells_time_role_direction_and_bytes(server, tmp_path: Path):
 def test_wire_log_that_cannot_be_written(server, tmp_path: Path):
     with pytest.raises(ConfigError, match="cannot be written"):
         open_line("stage", address_of(server), Context("test", Clock(), tmp_path / "no" / "wire.log"))
+
+
+@needs_pty
+def test_parity_of_a_serial_line():
+    master, slave = os.openpty()
+    try:
+        port = open_port("stage", os.ttyname(slave), baudrate=19200, parity="even")
+        assert (port._serial.parity, port._serial.bytesize, port._serial.stopbits) == ("E", 8, 1)
+        port.close()
+    finally:
+        os.close(master)
+        os.close(slave)
