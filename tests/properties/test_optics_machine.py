@@ -36,7 +36,12 @@ class OpticsMachine(RuleBasedStateMachine):
         self.world = world = World(seed=seed)
         self._installed = world.installed()
         self._installed.__enter__()
-        self.rig = world.open_rig()
+        try:
+            self.rig = world.open_rig()
+        except BaseException:
+            self._installed.__exit__(None, None, None)
+            self.world = None  # nothing to close
+            raise
         self.rig.move_to(20.0, 60.0)
 
     def teardown(self) -> None:

@@ -59,7 +59,12 @@ class StageMachine(RuleBasedStateMachine):
         self.world = world = World(stage=self.kind, backlash_deg=backlash_deg, seed=seed)
         self._installed = world.installed()
         self._installed.__enter__()
-        self.rig = world.open_rig()
+        try:
+            self.rig = world.open_rig()
+        except BaseException:
+            self._installed.__exit__(None, None, None)
+            self.world = None  # nothing to close
+            raise
         self.cable = world.cables["stage"]
         self.targets: dict[str, float | None] = {"theta_i": None, "theta_mes": None}
         self.trusted = {"theta_i": True, "theta_mes": True}  # no power cut since the last homing
