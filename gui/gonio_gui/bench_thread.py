@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from gonio.acquire import Runner, Snapshot, State, resume_scan
+from gonio.acquire import FaultPolicy, Runner, Snapshot, State, resume_scan
 from gonio.bench_process import served
 from gonio.errors import DeviceError, GonioError, ScanStopped
 from gonio.plan import Plan
@@ -25,6 +25,7 @@ from gonio.rig import Rig, RigConfig, open_rig
 from gonio.store import Scan, load
 from gonio.store.records import EventRecord, Level, PositionRecord, Record, ReferenceRecord
 
+ATTENDED = FaultPolicy(then="pause")  # somebody sits before the window, or will
 POLL_S = 1.0  # how often the axes are read back while nothing is measured
 
 
@@ -247,10 +248,10 @@ class BenchThread:
             raise
 
     def _new_runner(self, rig: Rig, plan: Plan, path: Path) -> Runner:
-        return Runner(rig, plan, path, on_snapshot=self._watch, on_record=self._pass_on)
+        return Runner(rig, plan, path, on_snapshot=self._watch, on_record=self._pass_on, policy=ATTENDED)
 
     def _resumed_runner(self, rig: Rig, path: Path) -> Runner:
-        return resume_scan(path, rig, on_snapshot=self._watch, on_record=self._pass_on)
+        return resume_scan(path, rig, on_snapshot=self._watch, on_record=self._pass_on, policy=ATTENDED)
 
     def _watch(self, snapshot: Snapshot) -> None:
         self.outbox.put(snapshot)

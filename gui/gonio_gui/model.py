@@ -214,6 +214,8 @@ class Model:
             self.phase = Phase.RUNNING
         elif snapshot.state is State.PAUSED:
             self.phase = Phase.PAUSED
+            if "by the operator" not in snapshot.message:
+                self.banner = Banner("error", f"{snapshot.message}. Mend it, then Resume.")
         elif snapshot.state is State.ABORTING:
             self.phase = Phase.STOPPING
 

@@ -56,6 +56,22 @@ def test_a_pause_asked_for_is_not_forgotten_by_the_next_snapshot(model: Model) -
     assert model.phase is Phase.PAUSED
 
 
+def test_a_fault_that_pauses_the_scan_stands_in_the_banner(model: Model) -> None:
+    model.apply(snapshot())
+    told = "theta_i: stalled (FS); free the axis; motors at rest, shutter closed"
+    model.apply(snapshot(State.PAUSED, message=told))
+    assert model.phase is Phase.PAUSED
+    assert model.banner is not None
+    assert told in model.banner.text
+    assert model.banner.text.endswith("Mend it, then Resume.")
+
+
+def test_a_pause_by_the_operator_needs_no_banner(model: Model) -> None:
+    model.banner = None
+    model.apply(snapshot(State.PAUSED, message="paused by the operator; motors at rest, shutter closed"))
+    assert model.banner is None
+
+
 def test_stopping_lasts_until_the_thread_says_so(model: Model, tmp_path: Path) -> None:
     model.phase = Phase.STOPPING
     model.apply(snapshot(State.IDLE))
