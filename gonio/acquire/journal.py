@@ -17,6 +17,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import stat
 import struct
 import sys
 import zlib
@@ -281,6 +282,15 @@ class Journal:
         sync_folder(self.path.absolute().parent)
 
 
+def read_records(path: Path) -> tuple[ScanHeader, list[Record]]:
+    """Return what a journal holds, without locking it: another process may be writing it.
+
+    `FileNotFoundError` if there is none, `StoreError` if it is not a journal or has no header yet.
+    """
+    header, records, _, _ = _read(path)
+    return header, records
+
+
 def read_header(path: Path) -> ScanHeader:
     """Return the header of a journal without locking it; `StoreError` as from `Journal.reopen`."""
     try:
@@ -292,6 +302,8 @@ def read_header(path: Path) -> ScanHeader:
 def _read(path: Path) -> tuple[ScanHeader, list[Record], int, str]:
     """Return header, records, the end of the last whole frame, and a note on damage."""
     try:
+        if not stat.S_ISREG(path.stat().st_mode):  # a pipe would keep us waiting for ever
+            raise StoreError(f"{path}: is no file; move it out of the way")
         data = path.read_bytes()
     except FileNotFoundError:
         raise

@@ -21,6 +21,7 @@ from gonio.plan.model import Plan, parse_plan
 from gonio.rig import RigConfig
 from gonio.store.file import ScanFile, explained, sync_file
 from gonio.store.layout import SPECTRUM_GROUPS
+from gonio.store.read import opened
 from gonio.store.records import (
     DetectorFacts,
     EventRecord,
@@ -111,7 +112,7 @@ class Session:
             self._journal.write(record)
             try:
                 if not self._broken:
-                    _add(self._file, [record])
+                    add_records(self._file, [record])
                     self._file.flush()
             finally:
                 self._journal.confirm()
@@ -214,7 +215,7 @@ def _refuse_other_rig(path: Path, stored: RigFacts, facts: RigFacts) -> None:
     )
 
 
-def _add(file: ScanFile, records: Sequence[Record]) -> None:
+def add_records(file: ScanFile, records: Sequence[Record]) -> None:
     """Write records in order, runs of consecutive positions at once."""
     block: list[PositionRecord] = []
     for record in records:
@@ -247,7 +248,7 @@ def _made(path: Path, header: ScanHeader, plan: Plan, records: Sequence[Record])
     temporary = path.with_name(path.name + ".rebuilt")  # under the journal's lock: a leftover is ours
     file = ScanFile(temporary, header, plan, "w")
     try:
-        _add(file, records)
+        add_records(file, records)
         remark = _carry_over(path, file)
         file.move_to(path)
     except BaseException:
@@ -260,14 +261,14 @@ def _made(path: Path, header: ScanHeader, plan: Plan, records: Sequence[Record])
 def _carry_over(old_path: Path, file: ScanFile) -> str:
     """Copy what others have put into the old file: spectra always, fits only if they saw the whole scan."""
     try:
-        with h5py.File(old_path, "r") as old:
+        with opened(old_path, "r") as old:
             entry = old["entry"]
             finished = entry.attrs.get("scan_status") == "finished"
             fits = [name for name in entry if name.startswith("fit_")]
             keep = [name for name in SPECTRUM_GROUPS if name in entry] + (fits if finished else [])
             for name in keep:
                 file.copy_group(entry[name])
-    except (OSError, RuntimeError, KeyError):
+    except StoreError:
         return ""  # torn by the crash, or never there; the journal has all that was measured
     if fits and not finished:
         return f"{', '.join(fits)} saw only a part of the scan and was dropped; fit again"

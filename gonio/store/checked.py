@@ -25,7 +25,7 @@ class Checked:
     def __init__(self, path: Path, file: h5py.File) -> None:
         self.path = path
         self.file = file
-        self.size = path.stat().st_size
+        self.size = int(file.id.get_filesize())
 
     def foreign(self, what: str) -> StoreError:
         """Return the error of a file that no gonio wrote."""

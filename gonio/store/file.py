@@ -53,9 +53,12 @@ def explained(path: Path, doing: str) -> Iterator[None]:
 
 
 class ScanFile:
-    """An open scan file; use `create`, then `add_*`, then `finish` and `close`."""
+    """An open scan file: `add_*`, then `finish` and `close`.
 
-    def __init__(self, path: Path, header: ScanHeader, plan: Plan, mode: Literal["x", "w"]) -> None:
+    In mode ``memory`` nothing is on the disk, and `path` is but the name in messages.
+    """
+
+    def __init__(self, path: Path, header: ScanHeader, plan: Plan, mode: Literal["x", "w", "memory"]) -> None:
         self.path = path
         self._plan = plan
         self._header = header
@@ -65,7 +68,10 @@ class ScanFile:
         )
         self._reduction: Reduction | None = None  # made when a position needs it after a new reference
         try:
-            self._file = h5py.File(path, mode)
+            if mode == "memory":
+                self._file = h5py.File(str(path), "w", driver="core", backing_store=False)
+            else:
+                self._file = h5py.File(path, mode)
         except FileExistsError:
             raise StoreError(f"{path} exists already and is never overwritten; choose another name") from None
         except OSError as error:
@@ -78,7 +84,8 @@ class ScanFile:
                 self._file.flush()
         except BaseException:
             self._file.close()
-            path.unlink(missing_ok=True)  # made just now, and nothing is in it
+            if mode != "memory":
+                path.unlink(missing_ok=True)  # made just now, and nothing is in it
             raise
 
     # -- layout
@@ -300,6 +307,11 @@ class ScanFile:
             )
             events.append(EventRecord(at_s, time.time(), change.level, "store", message))
         return events
+
+    @property
+    def hdf5(self) -> h5py.File:
+        """The open HDF5 file, to be read from."""
+        return self._file
 
     def close(self) -> None:
         """Close the file; more than once does nothing."""

@@ -24,6 +24,7 @@ from gonio.store.checked import Checked
 from gonio.store.guard import refuse_dangerous
 from gonio.store.scan import Scan
 
+_ATTEMPTS = 3
 _DAMAGE = (
     OSError,
     RuntimeError,
@@ -40,15 +41,45 @@ _DAMAGE = (
 def load(path: str | os.PathLike[str]) -> Scan:
     """Return the scan in a file; an unfinished one has fewer positions than its plan and `finished` false.
 
+    While a scan runs, in this process or another, the positions so far are read from its journal, which is
+    whole at any instant: see `gonio.acquire.live`.
+
     Raises
     ------
     StoreError
-        The file is missing, not HDF5, cut short, not a gonio scan, contradicts itself, holds no position
-        yet, or is being written by another process.
+        The file is missing, not HDF5, cut short, not a gonio scan, contradicts itself, or holds no position
+        yet.
     """
     path = Path(path)
-    with opened(path, "r") as file:
-        return _Reader(path, file).scan()
+    for _ in range(_ATTEMPTS):
+        scan = _unfinished(path)
+        if scan is not None:
+            return scan
+        try:
+            with opened(path, "r") as file:
+                return scan_in(path, file)
+        except StoreError:
+            if not _journal(path).exists():  # else a scan has begun, or ended, between the two looks
+                raise
+    raise StoreError(f"{path}: changes faster than it can be read; try again when the scan has ended")
+
+
+def scan_in(path: Path, file: h5py.File) -> Scan:
+    """Return the scan in an open file; `path` is its name in messages."""
+    return _Reader(path, file).scan()
+
+
+def _unfinished(path: Path) -> Scan | None:
+    """Return what the journal beside the file holds so far; None if there is none that can be read."""
+    if not _journal(path).is_file():
+        return None
+    from gonio.acquire.live import measured_so_far  # it writes scans, and so needs this package
+
+    return measured_so_far(path)
+
+
+def _journal(path: Path) -> Path:
+    return path.with_name(path.name + ".journal")
 
 
 @contextmanager

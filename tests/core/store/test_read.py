@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
-import sys
 import tracemalloc
 from collections.abc import Callable
 from contextlib import suppress
@@ -21,14 +19,6 @@ from gonio.acquire import Runner, Snapshot
 from gonio.devices import Quality
 from gonio.errors import ScanStopped, StoreError
 from gonio.plan import Plan, parse_plan
-
-READ_IT = """
-import sys, gonio, gonio.errors
-try:
-    gonio.load(sys.argv[1])
-except gonio.errors.StoreError as error:
-    print(error)
-"""
 
 
 @pytest.fixture(scope="module")
@@ -96,24 +86,6 @@ def test_a_file_without_a_position_says_so(memory: ModuleType, plan: Plan, tmp_p
         runner.run()
     with pytest.raises(StoreError, match="no position has been measured yet"):
         gonio.load(path)
-
-
-def test_a_file_that_is_being_written_is_not_read(memory: ModuleType, plan: Plan, tmp_path: Path) -> None:
-    path = tmp_path / "scan.h5"
-    answers: list[str] = []
-
-    def on_snapshot(snapshot: Snapshot) -> None:
-        if snapshot.done == 2 and not answers:
-            run = subprocess.run(
-                [sys.executable, "-c", READ_IT, str(path)],
-                capture_output=True,
-                text=True,
-                check=True,
-            )
-            answers.append(run.stdout)
-
-    Runner(memory.rig(), plan, path, on_snapshot=on_snapshot).run()
-    assert "is being written by another process" in answers[0]
 
 
 def test_missing_empty_and_foreign_files_are_named(tmp_path: Path) -> None:
