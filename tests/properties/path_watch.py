@@ -79,7 +79,7 @@ class PathWatch:
             inside = low - STEP_DEG <= here_deg <= high + STEP_DEG
             self._began_legally = inside and abs(here_deg) >= self._zone_deg - STEP_DEG
             self._by_hand = self._tripped = False
-            self._known_fault = Fault.NONE
             original(*arguments)
+            self._known_fault = self.motor._fault  # one that is still there is no new one
 
         setattr(self.motor, name, observed)
