@@ -95,6 +95,10 @@ def build_parser() -> argparse.ArgumentParser:
         "--facade", type=Path, metavar="FACADE.h5", help="facade result to show in a scan's report"
     )
 
+    check = commands.add_parser("check", help="is a file whole, and what gonio says it writes? exit 1 if not")
+    check.add_argument("files", type=Path, nargs="+", metavar="FILE.h5")
+    check.add_argument("--here", action="store_true", help=argparse.SUPPRESS)  # in this process
+
     devices = commands.add_parser("devices", help="what is connected and answering")
     devices.add_argument("--ports", action="store_true", help="list the serial ports of this machine instead")
     _rig_option(devices)
@@ -178,6 +182,10 @@ def _run(options: argparse.Namespace) -> int:
         from gonio.cli.analysis import report
 
         return report(options.file, options.output, options.facade)
+    if options.command == "check":
+        from gonio.cli.check import check, check_here
+
+        return check_here(options.files[0]) if options.here else check(options.files)
     if options.command == "devices":
         from gonio.cli.acquisition import devices
 

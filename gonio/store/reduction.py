@@ -142,7 +142,7 @@ class Reduction:
         full = np.where(
             full > 0, full, np.nan
         )  # a baseline that is no brighter than the dark measures nothing
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore", divide="ignore"):  # no averages where nothing was measured
             r = (raw_v - dark) / full
             beam_var = np.maximum(self._baseline_relative_var * baseline**2 - self._dark_var, 0.0)
             predicted = self._dark_var + beam_var * np.maximum(r, 0.0)
