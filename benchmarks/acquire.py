@@ -73,7 +73,7 @@ def gonio_ms(folder: Path) -> tuple[dict[str, list[float]], int]:
     originals = {}
     for key, owner, name in (
         ("record", Session, "record"),
-        ("journal", Journal, "append"),
+        ("journal", Journal, "write"),
         ("rows", ScanFile, "add_positions"),
         ("flush", ScanFile, "flush"),
     ):

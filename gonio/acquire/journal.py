@@ -154,7 +154,7 @@ class Journal:
                 path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o644
             )
         except FileExistsError:
-            if _died_at_birth(path):
+            if died_at_birth(path):
                 path.unlink()
                 return cls.create(path, header)
             raise _in_the_way(path) from None
@@ -330,7 +330,7 @@ def _read(path: Path) -> tuple[ScanHeader, list[Record], int, str]:
         )
     if not records:
         raise StoreError(
-            f"{path}: the scan died before its first reading; delete this file and start the scan again"
+            f"{path}: the scan died before its first reading; start it again (gonio scan PLAN -o FILE)"
         )
     notes: list[str] = []
     if end > whole:
@@ -342,7 +342,7 @@ def _read(path: Path) -> tuple[ScanHeader, list[Record], int, str]:
     return records[0], records[1:], end, "; ".join(notes)
 
 
-def _died_at_birth(path: Path) -> bool:
+def died_at_birth(path: Path) -> bool:
     """Say whether the journal is the torn beginning of one, without even a header, and nobody writes it."""
     try:
         lock = FileLock(path)

@@ -11,10 +11,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import h5py
 import numpy as np
 
-from gonio.acquire.journal import Journal, journal_path
+from gonio.acquire.journal import Journal, died_at_birth, journal_path
 from gonio.acquire.room import RESERVE_BYTES, must_have_room, prove_room
 from gonio.errors import StoreError
 from gonio.plan.model import Plan, parse_plan
@@ -190,7 +189,7 @@ def facts_of(config: RigConfig) -> RigFacts:
 
 def refuse_existing(path: Path) -> None:
     """Raise `StoreError` if the file, or the journal of an unfinished scan, is already there."""
-    if journal_path(path).exists():
+    if journal_path(path).exists() and not died_at_birth(journal_path(path)):
         raise StoreError(
             f"{path}: an unfinished scan is there; continue it with gonio scan --resume {path}, or choose "
             "another name"

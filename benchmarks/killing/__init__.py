@@ -1,0 +1,1 @@
+"""What `benchmarks/kill.py` is made of: lives of a scan that end at random instants, and what they leave."""
