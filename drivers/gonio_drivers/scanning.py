@@ -27,6 +27,7 @@ from gonio_drivers.scan_time import pass_time
 from gonio_drivers.sr830 import FULL_SCALE_V, SR830, SR830Config, open_sr830
 
 _MOST_RANGE_CHANGES = 8  # from any range to any other, with an overload on the way
+_LOOKS_AT_SATURATION = 2  # further ones, each after settling, before the largest range is called saturated
 
 
 class ScanningDetectorConfig(DetectorConfig):
@@ -250,10 +251,15 @@ class ScanningSpectrometer:
         lockin = self._lockin
         jump |= lockin.set_range(self._ranges.start(beam, detector))
         self._clock.sleep(self._jump_settle_s if jump else self._settle_s)
-        for _ in range(_MOST_RANGE_CHANGES):
+        patience = _LOOKS_AT_SATURATION
+        for _ in range(_MOST_RANGE_CHANGES + patience):
             samples_v, magnitude_v, overload, time_s = self._samples(averages)
             index = lockin.range_index
             better = self._ranges.better(index, magnitude_v, overload=overload)
+            if better == index and overload and patience:
+                patience -= 1  # the largest range: a detector that was blinded for a moment may be back
+                self._clock.sleep(self._jump_settle_s)
+                continue
             if better == index:
                 break
             lockin.set_range(better)

@@ -103,7 +103,7 @@ class ZaberDrive:
         if abs(lost_steps) <= allowed_steps:
             self._encoder_agrees |= abs(position_steps) > allowed_steps
             return None
-        if not self._encoder_agrees:  # it never did: no encoder, or one that counts otherwise
+        if encoder_steps == 0 and not self._encoder_agrees:  # it never did: a zero where there is no encoder
             self._has_encoder = False
             return None
         return f"its encoder is {lost_steps} steps off its counter: it lost steps on its way"

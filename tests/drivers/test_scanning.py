@@ -190,10 +190,17 @@ def test_an_overload_of_the_past_is_forgiven(spectrometer):
 
 
 def test_saturation_of_the_largest_range_is_flagged_not_hidden(spectrometer):
-    device = spectrometer([*OPEN_AT_500, *drive(500)], [read(1.09, 4), read(1.09, 4)])
+    device = spectrometer([*OPEN_AT_500, *drive(500)], [read(1.09, 4)] * 6)
     reading = measure(device, 500, beam="direct")
     assert reading.quality.tolist() == [Quality.OVER_RANGE]
     assert reading.signal_v.tolist() == [1.09]
+
+
+def test_a_detector_that_was_blinded_for_a_moment_is_read_when_it_is_back(spectrometer):
+    device = spectrometer([*OPEN_AT_500, *drive(500)], [*[read(1.09, 4)] * 4, read(0.5)])
+    reading = measure(device, 500, beam="direct")
+    assert reading.quality.tolist() == [0]
+    assert reading.signal_v.tolist() == [0.5]
 
 
 def test_mean_and_sample_standard_deviation(spectrometer):

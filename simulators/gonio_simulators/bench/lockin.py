@@ -87,8 +87,9 @@ class Lockin:
         self.clock = clock
         self._rng = rng
         self._time_constant_s = time_constant_s
-        self.sensitivity_v = 1.0
+        self._sensitivity_v = 1.0
         self.phase_deg = 0.0
+        self._input_was_over = self._output_was_over = False  # since the last look
         self._time_s = clock.now_s()
         self._signal = signal_at(self._time_s)
         self._mean_v = self._signal.mean_v
@@ -128,8 +129,18 @@ class Lockin:
         self.advance()
         self._time_constant_s = value
 
+    @property
+    def sensitivity_v(self) -> float:
+        """Full scale of the outputs, volts."""
+        return self._sensitivity_v
+
+    @sensitivity_v.setter
+    def sensitivity_v(self, value: float) -> None:
+        self.advance()
+        self._sensitivity_v = value
+
     def sample(self) -> LockinReading:
-        """Return X and Y in volts, and whether the input and the output are overloaded.
+        """Return X and Y in volts, and whether input and output are overloaded, or were since the last look.
 
         The outputs are those of the instrument: limited to 1.09 of full scale (then the flag is up) and
         quantised to full scale / 32768.
@@ -139,8 +150,10 @@ class Lockin:
         self.advance()
         x, y = self.demodulated()
         limit = OVERLOAD * self.sensitivity_v
-        input_overload = abs(self._signal.mean_v) > INPUT_LIMIT_V
-        output_overload = max(abs(x), abs(y)) > limit
+        input_overload = abs(self._signal.mean_v) > INPUT_LIMIT_V or self._input_was_over
+        output_overload = max(abs(x), abs(y)) > limit or self._output_was_over
+        if not self._recording:
+            self._input_was_over = self._output_was_over = False
         if self._spike is not None:
             input_overload |= self._spike[0]
             output_overload |= self._spike[1]
@@ -233,6 +246,11 @@ class Lockin:
 
     def _settle(self, duration_s: float, before: DetectorSignal, after: DetectorSignal | None = None) -> None:
         """Exact response to a signal that is constant, or goes straight from `before` to `after`."""
+        self._input_was_over |= max(abs(before.mean_v), abs((after or before).mean_v)) > INPUT_LIMIT_V
+        self._pass_through(duration_s, before, after)
+        self._output_was_over |= abs(self._mean_v) > OVERLOAD * self._sensitivity_v
+
+    def _pass_through(self, duration_s: float, before: DetectorSignal, after: DetectorSignal | None) -> None:
         if self._order > 1:
             self._settle_steeply(duration_s, before, after or before)
             return
