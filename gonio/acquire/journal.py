@@ -41,6 +41,7 @@ from gonio.store.records import (
     RigFacts,
     ScanHeader,
 )
+from gonio.store.sane import refuse_nonsense
 
 MAGIC = b"gonio journal 1\n"
 _MARK = b"\xf5rec"
@@ -317,8 +318,13 @@ def _read(path: Path) -> tuple[ScanHeader, list[Record], int, str]:
         end = frame_end
         whole += _FRAME.size + len(payload)
         try:
-            records.append(decode(payload))
-        except (ValueError, TypeError, KeyError) as error:
+            record = decode(payload)
+            if records or isinstance(record, ScanHeader):
+                first = records[0] if records else record
+                if isinstance(first, ScanHeader):
+                    refuse_nonsense(record, first)
+            records.append(record)
+        except (ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError) as error:
             raise StoreError(
                 f"{path}: holds a record that this version of gonio does not know ({error}); resume with the "
                 "version that began the scan"

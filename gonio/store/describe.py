@@ -19,7 +19,8 @@ from gonio.store.records import ScanHeader
 
 
 def text_dataset(group: h5py.Group, name: str, value: str) -> None:
-    """Write a string of any length."""
+    """Write a string of any length; HDF5 has no zero bytes in it."""
+    value = value.replace("\x00", "\N{SYMBOL FOR NULL}")
     group.create_dataset(name, data=value, dtype=h5py.string_dtype("utf-8"))
 
 

@@ -101,6 +101,9 @@ class ScanFile:
         positions = plan.positions()
         wavelength_nm = plan.wavelength_nm if header.wavelength_nm is None else header.wavelength_nm
         n, m = len(positions), len(wavelength_nm)
+        self._n = n
+        if m != len(header.detector_index):
+            raise StoreError(f"{self.path}: {m} wavelengths, but detectors for {len(header.detector_index)}")
         rows = chunk_rows(m)
         for name, column in COLUMNS.items():
             shape = {"nm": (n, m), "n": (n,), "m": (m,)}[column.dims]
@@ -184,6 +187,10 @@ class ScanFile:
         first, last = records[0].index, records[-1].index
         if [record.index for record in records] != list(range(first, last + 1)):
             raise ValueError("the positions of a block must be consecutive")
+        if last >= self._n:
+            raise StoreError(
+                f"{self.path}: position {last} is not among the {self._n} of the plan; check its journal"
+            )
         raw = np.stack([record.signal_v for record in records])
         raw_sd = np.stack([record.signal_sd_v for record in records])
         time_s = np.stack([record.time_s for record in records])

@@ -10,12 +10,12 @@ Asked of every file before anything is read from it.  Links are looked at, never
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import h5py
-import numpy as np
 
 from gonio.errors import StoreError
 
@@ -40,11 +40,12 @@ def dangers(path: Path, file: h5py.File) -> Iterator[str]:
     most_bytes = _FREE_BYTES + _MOST_INFLATED * path.stat().st_size
     texts = 0
     seen: set[int] = set()
-    waiting: list[tuple[str, Any, int]] = [("", file["/"], 0)]
+    # h5py's low level: a file has some hundred objects, and every command looks at each
+    waiting: list[tuple[str, Any, int]] = [("", h5py.h5g.open(file.id, b"/"), 0)]
     while waiting:
         name, item, depth = waiting.pop()
         try:
-            address = h5py.h5o.get_info(item.id).addr
+            address = h5py.h5o.get_info(item).addr
             if address in seen:
                 continue
             seen.add(address)
@@ -52,17 +53,19 @@ def dangers(path: Path, file: h5py.File) -> Iterator[str]:
                 yield f"{name} is one of too many objects, or nested too deeply; give a file written by gonio"
                 return
             yield from _attributes(name, item)
-            if isinstance(item, h5py.Group):
+            if isinstance(item, h5py.h5g.GroupID):
                 for key in item:
-                    link = item.get(key, getlink=True)
-                    if isinstance(link, h5py.ExternalLink):
+                    kind = item.links.get_info(key).type
+                    place = f"{name}/{key.decode('utf-8', 'replace')}"
+                    if kind == h5py.h5l.TYPE_EXTERNAL:
+                        target = item.links.get_val(key)[0].decode("utf-8", "replace")
                         yield (
-                            f"{name}/{key} is a link to another file ({link.filename}), which is not "
-                            "followed; remove it, or copy what it links to into the file"
+                            f"{place} is a link to another file ({target}), which is not followed; "
+                            "remove it, or copy what it links to into the file"
                         )
-                    elif isinstance(link, h5py.HardLink):
-                        waiting.append((f"{name}/{key}", item[key], depth + 1))
-            elif isinstance(item, h5py.Dataset):
+                    elif kind == h5py.h5l.TYPE_HARD:
+                        waiting.append((place, h5py.h5o.open(item, key), depth + 1))
+            elif isinstance(item, h5py.h5d.DatasetID):
                 yield from _dataset(name, item, most_bytes)
                 texts += _text_bytes(item)
                 if texts > _LONGEST_TEXTS:
@@ -74,42 +77,43 @@ def dangers(path: Path, file: h5py.File) -> Iterator[str]:
 
 
 def _attributes(name: str, item: Any) -> Iterator[str]:
-    for number in range(h5py.h5a.get_num_attrs(item.id)):
-        attribute = h5py.h5a.open(item.id, index=number)
-        if int(np.prod(attribute.shape, dtype=object)) * attribute.get_type().get_size() > _FREE_BYTES:
+    for number in range(h5py.h5a.get_num_attrs(item)):
+        attribute = h5py.h5a.open(item, index=number)
+        if math.prod(attribute.shape) * attribute.get_type().get_size() > _FREE_BYTES:
             yield f"{name or '/'} has an attribute of shape {attribute.shape}; restore the file from a copy"
 
 
-def _dataset(name: str, dataset: h5py.Dataset, most_bytes: int) -> Iterator[str]:
-    layout = dataset.id.get_create_plist()
-    if layout.get_external_count():
+def _dataset(name: str, dataset: Any, most_bytes: int) -> Iterator[str]:
+    creation = dataset.get_create_plist()
+    if creation.get_external_count():
         yield f"{name} is kept in another place of the disk, which is not read; copy it into the file"
-    if layout.get_layout() == h5py.h5d.VIRTUAL:
-        for number in range(layout.get_virtual_count()):
-            if layout.get_virtual_filename(number) != ".":
+    layout = creation.get_layout()
+    if layout == h5py.h5d.VIRTUAL:
+        for number in range(creation.get_virtual_count()):
+            source = creation.get_virtual_filename(number)
+            if source != ".":
                 yield (
-                    f"{name} is a view of another file ({layout.get_virtual_filename(number)}), which is not "
-                    "read; copy the values into the file"
+                    f"{name} is a view of another file ({source}), which is not read; copy the values into "
+                    "the file"
                 )
                 break
-    if dataset.shape is None:
-        return
-    size = dataset.id.get_type().get_size()
-    declared = int(np.prod(dataset.shape, dtype=object)) * size
-    if declared > most_bytes:
-        yield f"{name} declares {dataset.shape} values, more than are stored; restore the file"
-    if dataset.chunks is not None and int(np.prod(dataset.chunks, dtype=object)) * size > most_bytes:
-        yield f"{name} is cut into chunks of {dataset.chunks} values; restore the file from a copy"
+    size = dataset.get_type().get_size()
+    shape = dataset.shape
+    if shape is not None and math.prod(shape) * size > most_bytes:
+        yield f"{name} declares {shape} values, more than are stored; restore the file"
+    if layout == h5py.h5d.CHUNKED and math.prod(creation.get_chunk()) * size > most_bytes:
+        yield f"{name} is cut into chunks of {creation.get_chunk()} values; restore the file from a copy"
 
 
-def _text_bytes(dataset: h5py.Dataset) -> int:
+def _text_bytes(dataset: Any) -> int:
     """Return the bytes of a dataset's texts of any length, stopping once they are too many."""
-    info = h5py.check_string_dtype(dataset.dtype)
-    if info is None or info.length is not None or dataset.ndim != 1:
+    kind = dataset.get_type()
+    if not (isinstance(kind, h5py.h5t.TypeStringID) and kind.is_variable_str() and dataset.rank == 1):
         return 0
+    texts = h5py.Dataset(dataset)
     total = 0
-    for low in range(0, len(dataset), _TEXTS_AT_ONCE):
-        total += sum(len(text) for text in dataset[low : low + _TEXTS_AT_ONCE])
+    for low in range(0, len(texts), _TEXTS_AT_ONCE):
+        total += sum(len(text) for text in texts[low : low + _TEXTS_AT_ONCE])
         if total > _LONGEST_TEXTS:
             break
     return total

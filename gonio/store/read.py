@@ -22,6 +22,7 @@ from gonio.aperture import Aperture
 from gonio.errors import ConfigError, StoreError
 from gonio.store.checked import Checked
 from gonio.store.guard import refuse_dangerous
+from gonio.store.heaps import endless_heap
 from gonio.store.scan import Scan
 
 _ATTEMPTS = 3
@@ -95,6 +96,11 @@ def opened(path: Path, mode: str, *, guarded: bool = True) -> Iterator[h5py.File
         raise StoreError(f"{path}: cannot be read ({error}); check its rights") from None
     if not is_hdf5:
         raise StoreError(f"{path}: is not an HDF5 file; give a file written by gonio scan")
+    if endless_heap(path) is not None:
+        raise StoreError(
+            f"{path}: is damaged (a heap of texts that the HDF5 library would read for ever); if a journal "
+            f"lies beside it, gonio scan --resume {path} makes it anew, else restore it from a copy"
+        )
     try:
         file = h5py.File(path, mode)
     except BlockingIOError:

@@ -107,5 +107,10 @@ class EventRecord:
     source: str
     message: str
 
+    def __post_init__(self) -> None:
+        """Make a quoted device's bytes storable: HDF5 has no zero bytes, UTF-8 no half pairs."""
+        clean = self.message.encode("utf-8", "replace").decode("utf-8").replace("\x00", "\N{SYMBOL FOR NULL}")
+        object.__setattr__(self, "message", clean)
+
 
 Record = ScanHeader | ReferenceRecord | PositionRecord | EventRecord

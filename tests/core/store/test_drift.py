@@ -183,6 +183,6 @@ def test_a_dark_that_moved_is_told_in_parts_of_the_full_beam(
     path = Runner(memory.rig(world), plan, tmp_path / "scan.h5").run()
     warnings = [message for level, message in events(path) if level == "warning"]
     assert any(
-        message.startswith("the dark signal of detector ingaas changed by +0.1") for message in warnings
+        message.startswith("the dark signal of detector ingaas changed by +0.2") for message in warnings
     )
     assert all("% of the full beam" in message for message in warnings if "dark signal" in message)
