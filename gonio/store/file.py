@@ -33,11 +33,12 @@ from gonio.store.layout import (
 )
 from gonio.store.records import EventRecord, PositionRecord, ReferenceRecord, ScanHeader
 from gonio.store.reduction import Reduced, Reduction
-from gonio.store.sweeps import write_sweeps
+from gonio.store.sweeps import fill_sweeps, write_sweeps
 from gonio.store.verdict import beamless, changes, no_beam_message
 
 _ABANDONED: list[ScanFile] = []  # kept, so that the collector does not close them
 _LATEST = 8  # references of one kind: what a long scan's cost per position must not grow with
+_CACHED_BYTES = 131_072  # of each dataset: the rows being written; each flush looks at every chunk kept
 _BLOCK = 1024  # rows corrected at a time: a few MB, however long the scan
 
 
@@ -71,7 +72,7 @@ class ScanFile:
             if mode == "memory":
                 self._file = h5py.File(str(path), "w", driver="core", backing_store=False)
             else:
-                self._file = h5py.File(path, mode)
+                self._file = h5py.File(path, mode, rdcc_nbytes=_CACHED_BYTES)
         except FileExistsError:
             raise StoreError(f"{path} exists already and is never overwritten; choose another name") from None
         except OSError as error:
@@ -288,6 +289,7 @@ class ScanFile:
         for event in told:
             self.add_event(event)
         with explained(self.path, "finished"):
+            fill_sweeps(self._entry)
             text_dataset(self._entry, "end_time", end_time)
             self._entry.attrs["scan_status"] = "finished"
             self._file.flush()
@@ -338,7 +340,7 @@ class ScanFile:
             os.replace(self.path, path)
             sync_folder(path.parent)
             self.path = path
-            self._file = h5py.File(path, "r+")
+            self._file = h5py.File(path, "r+", rdcc_nbytes=_CACHED_BYTES)
             self._entry = self._file["entry"]
             self._use_columns(self._entry["data"])
 

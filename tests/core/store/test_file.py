@@ -75,17 +75,94 @@ def test_a_sweep_listed_out_of_order_is_plotted_in_order(memory: ModuleType, tmp
         np.testing.assert_array_equal(group["r"][...], file["entry/data/r"][[0, 1, 2, 3]][[1, 2, 3, 0]])
 
 
+def test_a_plan_that_scatters_its_rows_has_copies_of_them(
+    memory: ModuleType, plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gonio.store.sweeps._MOST_PIECES", 1)
+    path = Runner(memory.rig(), plan, tmp_path / "scan.h5").run()
+    with h5py.File(path, "r") as file:
+        entry = file["entry"]
+        for name in (name for name in entry if name.startswith("sweep_")):
+            group = entry[name]
+            assert not group["r"].is_virtual
+            rows = group["position"][...]
+            for column in ("r", "r_errors", "theta_o"):
+                np.testing.assert_array_equal(group[column][...], entry["data"][column][...][rows])
+            assert np.all(np.diff(group["theta_o"][...]) > 0)
+
+
 def test_every_number_in_data_declares_its_quantity_and_unit(finished: Path) -> None:
     with h5py.File(finished, "r") as file:
         for part in ("data", "references", "sweep_20_s", "instrument", "events"):
             for dataset in datasets(file["entry"][part]):
                 if h5py.check_string_dtype(dataset.dtype) is None:
                     assert dataset.attrs["quantity"], dataset.name
-                    if dataset.name != "/entry/data/position":
-                        assert dataset.attrs["units"], dataset.name
+                    assert dataset.attrs["units"], dataset.name
+                elif dataset.shape != ():
+                    assert dataset.attrs["quantity"], dataset.name
         assert file["entry/data/r"].attrs["units"] == "1"
         assert file["entry/data/raw_signal"].attrs["quantity"] == "raw signal"
         assert file["entry/data/baseline"].attrs["units"] == "V"
+
+
+def test_each_detector_shows_its_own_raw_signal(finished: Path) -> None:
+    with h5py.File(finished, "r") as file:
+        entry = file["entry"]
+        raw, wavelength_nm = entry["data/raw_signal"][...], entry["data/wavelength"][...]
+        for number, name in enumerate(entry["data/detector_names"].asstr()[...]):
+            own = entry["data/detector_index"][...] == number
+            group = entry[f"instrument/detector_{name}/raw_data"]
+            assert group.attrs["NX_class"] == "NXdata"
+            np.testing.assert_array_equal(group[group.attrs["signal"]][...], raw[:, own])
+            np.testing.assert_array_equal(group["wavelength"][...], wavelength_nm[own])
+            assert group["position"] == entry["data/position"]
+
+
+def test_the_instrument_speaks_of_angles_as_optical_spectroscopy_does(finished: Path) -> None:
+    with h5py.File(finished, "r") as file:
+        instrument = file["entry/instrument"]
+        assert file["entry/experiment_type"].asstr()[()] == "reflection spectroscopy"
+        assert instrument["angle_reference_frame"].asstr()[()] == "sample-normal centered"
+        assert instrument["angle_of_incidence"] == file["entry/data/theta_i"]  # the same dataset
+        assert instrument["angle_of_detection"] == file["entry/data/theta_o"]
+        assert instrument["angle_of_in_plane_sample_rotation"][()] == 0.0
+        assert instrument["beam_incident"] == instrument["beam"]
+        assert instrument["detector_pmt/detector_channel_type"].asstr()[()] == "single-channel"
+        assert instrument["detector_pmt/solid_angle"].attrs["units"] == "sr"
+        assert instrument["detector_pmt/distance"].attrs["units"] == "mm"
+
+
+def nexus_errors(group: h5py.Group) -> list[str]:
+    """Return what breaks the rules by which a viewer finds and labels a plot, for each NXdata below."""
+    told: list[str] = []
+    for name, item in group.items():
+        if not isinstance(item, h5py.Group):
+            continue
+        told += nexus_errors(item)
+        if item.attrs.get("NX_class") != "NXdata":
+            continue
+        signal = item.get(str(item.attrs.get("signal")))
+        axes = [str(axis) for axis in np.atleast_1d(item.attrs["axes"])]
+        if not isinstance(signal, h5py.Dataset) or len(axes) != signal.ndim:
+            told.append(f"{name}: signal and axes")
+            continue
+        for dimension, axis in enumerate(axes):
+            if item[axis].shape != (signal.shape[dimension],):
+                told.append(f"{name}: axis {axis}")
+        for key, value in item.attrs.items():
+            if key.endswith("_indices"):
+                along = item[key.removesuffix("_indices")]
+                wanted = tuple(signal.shape[int(i)] for i in np.atleast_1d(value))
+                told += [] if along.shape == wanted else [f"{name}: {key}"]
+        for key in item:
+            if key.endswith("_errors") and item[key].shape != item[key.removesuffix("_errors")].shape:
+                told.append(f"{name}: {key}")
+    return told
+
+
+def test_every_plot_keeps_the_rules_of_nexus(finished: Path) -> None:
+    with h5py.File(finished, "r") as file:
+        assert nexus_errors(file) == []
 
 
 def test_every_group_has_a_nexus_class(finished: Path) -> None:
