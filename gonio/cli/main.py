@@ -57,18 +57,19 @@ def build_parser() -> argparse.ArgumentParser:
     scan.add_argument(
         "--wire-log", type=Path, metavar="FILE", help="append every byte on the wire, with its time"
     )
-    scan.add_argument(
-        "--retries",
-        type=int,
-        metavar="N",
-        help="further attempts at a position where a device failed (default 3)",
-    )
-    scan.add_argument(
-        "--on-fault",
-        choices=["pause", "skip", "abort"],
-        help="what then (default: pause at a terminal, else abort; an aborted scan can be resumed)",
-    )
+    _policy_options(scan)
     _rig_option(scan)
+
+    queue = commands.add_parser(
+        "queue", help="several samples and plans one after the other; what is done is not measured again"
+    )
+    queue.add_argument("queue", type=Path, metavar="QUEUE.toml")
+    queue.add_argument("--check", action="store_true", help="dry run of every scan; measure nothing")
+    queue.add_argument(
+        "--unattended", action="store_true", help="wait for nobody between samples, whatever the file says"
+    )
+    _policy_options(queue)
+    _rig_option(queue)
 
     fit = commands.add_parser("fit", help="fit the BRDF, store it beside the data, print the table")
     fit.add_argument("scan", type=Path, metavar="FILE.h5")
@@ -106,6 +107,20 @@ def build_parser() -> argparse.ArgumentParser:
     for name, text in ELSEWHERE.items():
         commands.add_parser(name, help=text, add_help=False)
     return parser
+
+
+def _policy_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--retries",
+        type=int,
+        metavar="N",
+        help="further attempts at a position where a device failed (default 3)",
+    )
+    parser.add_argument(
+        "--on-fault",
+        choices=["pause", "skip", "abort"],
+        help="what then (default: pause at a terminal, else abort; an aborted scan can be resumed)",
+    )
 
 
 def _rig_option(parser: argparse.ArgumentParser) -> None:
@@ -168,6 +183,17 @@ def _run(options: argparse.Namespace) -> int:
             print("gonio scan: where to? give -o FILE.h5", file=sys.stderr)
             return 2
         return scan(options.plan, options.rig, options.output, wire_log=options.wire_log, policy=policy)
+    if options.command == "queue":
+        from gonio.cli.attended import policy_of
+        from gonio.cli.queue import run_queue
+
+        return run_queue(
+            options.queue,
+            options.rig,
+            check_only=options.check,
+            unattended=options.unattended,
+            policy=policy_of(options.retries, options.on_fault),
+        )
     if options.command == "fit":
         from gonio.cli.analysis import fit
 
