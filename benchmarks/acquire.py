@@ -1,46 +1,50 @@
 """What does the runner cost per position, durable, against bluesky's RunEngine that stores nothing?
 
-The paper's plan (292 positions, 121 wavelengths) on devices that answer at once.  Three figures from one run:
+The paper's plan (292 positions, 121 wavelengths) on devices that answer at once, in rounds that alternate:
 
-- gonio: everything but the devices, that is journal record confirmed by the disk, reduction, `.h5` rows
-and flush; - the floor of it: appending the same bytes to a file and waiting for the disk, nothing else; -
-bluesky: one event per position with the same array, documents kept in memory.
+record   gonio: journal record confirmed by the disk, reduction, `.h5` rows and flush; the next position begins
+         after it
+event    bluesky: `create`, `read`, `save` of the same array, its documents kept in memory
+step     from one record (or event) to the next, all that a runner does: choose the step, move, wait, read,
+         verify, tell; bluesky's is `bp.list_scan` over two axes and a detector
+moving   a step with axes that take 20 ms, less the 20 ms: what a scan really waits for its runner.  gonio's
+         next motion begins before the record is written
+floor    appending the same bytes to a file and waiting for the disk, nothing else
 
-Run: python benchmarks/acquire.py [FOLDER]      (the folder decides which disk is measured; the present
-one by default)
+Medians of each round; the table has their median and, as spread, the smallest and largest round.
+
+Run: python benchmarks/acquire.py [FOLDER] [--rounds 5]      (the folder decides which disk is measured)
+Exit code 1 if gonio's record is not cheaper than bluesky's event.
 """
 
 from __future__ import annotations
 
-import importlib.util
+import argparse
 import os
 import sys
 import tempfile
 import time
+from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
+from killing.lives import memory_rig
 
 from gonio.acquire import Runner
 from gonio.acquire.journal import Journal
 from gonio.acquire.session import Session
 from gonio.devices import SpectrumReading
 from gonio.plan import Plan
+from gonio.status import ThreadStatus
 from gonio.store.file import ScanFile
 
-MEMORY_RIG = Path(__file__).parents[1] / "tests" / "core" / "acquire" / "memory_rig.py"
-
-
-def memory_rig() -> Any:
-    spec = importlib.util.spec_from_file_location("memory_rig", MEMORY_RIG)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["memory_rig"] = module
-    spec.loader.exec_module(module)
-    return module
+PLAN = Plan.paper()
+N, M = PLAN.n_positions, 121
+MOVE_S = 0.02
+RECORD_BYTES = M * 34 + 400
+Rounds = dict[str, list[float]]
 
 
 def instant_spectrum(wavelength_nm: Any, now_s: float, beam: str, averages: int) -> SpectrumReading:
@@ -56,11 +60,10 @@ def instant_spectrum(wavelength_nm: Any, now_s: float, beam: str, averages: int)
     )
 
 
-def gonio_ms(folder: Path) -> tuple[dict[str, list[float]], int]:
-    """Return per-position milliseconds of the whole and of its parts, and the bytes of one journal record."""
+def bench(move_s: float) -> Any:
+    """Return the tests' rig in memory, its spectrum at once and its axes as slow as asked."""
     memory = memory_rig()
     rig = memory.rig()
-    spent: dict[str, list[float]] = {"record": [], "journal": [], "rows": [], "flush": []}
 
     class Instant(memory.MemorySpectrometer):  # type: ignore[misc, name-defined]
         def measure_spectrum(
@@ -69,108 +72,218 @@ def gonio_ms(folder: Path) -> tuple[dict[str, list[float]], int]:
             self.world.clock.sleep(0.01 * len(wavelength_nm))
             return instant_spectrum(wavelength_nm, self.world.clock.now_s(), beam, averages)
 
-    rig.spectrometer = Instant(rig.spectrometer.world, rig.stage)
-    originals = {}
-    for key, owner, name in (
-        ("record", Session, "record"),
-        ("journal", Journal, "write"),
-        ("rows", ScanFile, "add_positions"),
-        ("flush", ScanFile, "flush"),
-    ):
-        original = getattr(owner, name)
-        originals[owner, name] = original
+    class Slow(memory.MemoryAxis):  # type: ignore[misc, name-defined]
+        def start(self, target_deg: float) -> None:
+            self.began_s = time.perf_counter()
+            super().start(target_deg)
 
-        def timed(*args: Any, original: Any = original, into: list[float] = spent[key]) -> Any:
+        def wait(self) -> float:
+            while (left_s := self.began_s + move_s - time.perf_counter()) > 0:
+                time.sleep(left_s)
+            return float(super().wait())
+
+    rig.spectrometer = Instant(rig.spectrometer.world, rig.stage)
+    if move_s:
+        for name in ("theta_i", "theta_mes"):
+            axis = getattr(rig.stage, name)
+            setattr(rig.stage, name, Slow(axis.world, axis.name, axis.where_deg, offset_deg=axis.offset_deg))
+    return rig
+
+
+def gonio_steps(folder: Path, rounds: Rounds, *, moving: bool) -> None:
+    """Run the plan once; add the medians of this round, milliseconds."""
+    spent: dict[str, list[float]] = defaultdict(list)
+    owners = (
+        (Session, "record"), (Journal, "write"), (Journal, "confirm"),
+        (ScanFile, "add_positions"), (ScanFile, "flush"),
+    )  # fmt: skip
+    originals = {(owner, name): getattr(owner, name) for owner, name in owners}
+    for (owner, name), original in originals.items():
+
+        def timed(*args: Any, original: Any = original, into: list[float] = spent[name]) -> Any:
             began = time.perf_counter()
-            result = original(*args)
-            into.append(1e3 * (time.perf_counter() - began))
-            return result
+            try:
+                return original(*args)
+            finally:
+                into.append(1e3 * (time.perf_counter() - began))
 
         setattr(owner, name, timed)
+    marks: list[float] = []
     path = folder / "bench.h5"
-    began = time.perf_counter()
-    Runner(rig, Plan.paper(), path).run()
-    spent["whole"] = [1e3 * (time.perf_counter() - began) / Plan.paper().n_positions]
-    for (owner, name), original in originals.items():
-        setattr(owner, name, original)
+    try:
+        Runner(
+            bench(MOVE_S if moving else 0.0),
+            PLAN,
+            path,
+            on_record=lambda _: marks.append(time.perf_counter()),
+        ).run()
+    finally:
+        for (owner, name), original in originals.items():
+            setattr(owner, name, original)
     with h5py.File(path) as file:
         assert np.all(np.isfinite(file["entry/data/r"][...]))
     path.unlink()
-    return spent, 121 * 34 + 400
+    step_ms = 1e3 * float(np.median(np.diff(marks)))
+    if moving:
+        rounds["moving, gonio"].append(step_ms - 1e3 * MOVE_S)
+        return
+    rounds["step, gonio"].append(step_ms)
+    for name, key in (
+        ("record", "record, gonio"),
+        ("write", "    journal: encode and hand to the system"),
+        ("add_positions", "    reduction and rows of the .h5"),
+        ("flush", "    flush of the .h5"),
+        ("confirm", "    then waiting for the disk"),
+    ):
+        rounds[key].append(float(np.median(spent[name])))
 
 
-def floor_ms(folder: Path, n_bytes: int) -> list[float]:
+def floor(folder: Path, rounds: Rounds) -> None:
     path = folder / "floor"
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT)
     sync = getattr(os, "fdatasync", os.fsync)
     spent = []
-    for _ in range(292):
+    for _ in range(N):
         began = time.perf_counter()
-        os.write(descriptor, bytes(n_bytes))
+        os.write(descriptor, bytes(RECORD_BYTES))
         sync(descriptor)
         spent.append(1e3 * (time.perf_counter() - began))
     os.close(descriptor)
     path.unlink()
-    return spent
+    rounds["floor: append and wait for the disk"].append(float(np.median(spent)))
 
 
-def bluesky_ms() -> float:
+class _Device:
+    """A detector and an axis for bluesky; the axis takes its time as gonio's does."""
+
+    parent = None
+
+    def __init__(self, name: str, values: Any, move_s: float = 0.0) -> None:
+        self.name = name
+        self.values = values
+        self.move_s = move_s
+
+    def read(self) -> dict[str, Any]:
+        return {self.name: {"value": self.values, "timestamp": time.time()}}
+
+    def describe(self) -> dict[str, Any]:
+        shape = list(np.shape(self.values))
+        return {self.name: {"source": "bench", "dtype": "array" if shape else "number", "shape": shape}}
+
+    def read_configuration(self) -> dict[str, Any]:
+        return {}
+
+    def describe_configuration(self) -> dict[str, Any]:
+        return {}
+
+    def trigger(self) -> Any:
+        return _Done()
+
+    def set(self, value: float) -> Any:
+        self.values = value
+        return ThreadStatus(lambda: time.sleep(self.move_s), self.name) if self.move_s else _Done()
+
+
+class _Done:
+    """A status that is done at once: no thread."""
+
+    done = success = True
+
+    def add_callback(self, callback: Any) -> None:
+        callback(self)
+
+    def exception(self, timeout: float | None = 0.0) -> None:
+        return None
+
+    def wait(self, timeout: float | None = None) -> None:
+        return None
+
+
+def bluesky_steps(rounds: Rounds, *, moving: bool) -> None:
+    """Run bluesky's own plan over the same positions; then its events alone."""
+    import bluesky.plans as bp
     from bluesky import RunEngine
     from bluesky.plan_stubs import close_run, create, open_run, read, save
 
-    values = np.zeros(121)
-
-    class Detector:
-        name = "spectrum"
-        parent = None
-
-        def read(self) -> dict[str, Any]:
-            return {"spectrum": {"value": values, "timestamp": time.time()}}
-
-        def describe(self) -> dict[str, Any]:
-            return {"spectrum": {"source": "bench", "dtype": "array", "shape": [121]}}
-
-        def read_configuration(self) -> dict[str, Any]:
-            return {}
-
-        def describe_configuration(self) -> dict[str, Any]:
-            return {}
-
-    detector = Detector()
+    detector = _Device("spectrum", np.zeros(M))
+    move_s = MOVE_S if moving else 0.0
+    theta_i, theta_mes = _Device("theta_i", 0.0, move_s), _Device("theta_mes", 0.0, move_s)
+    positions = PLAN.positions()
+    documents: list[Any] = []
     marks: list[float] = []
 
-    def plan() -> Any:
+    def keep(name: str, document: Any) -> None:
+        documents.append((name, document))
+        if name == "event":
+            marks.append(time.perf_counter())
+
+    RunEngine({})(
+        bp.list_scan(
+            [detector],
+            theta_i, [p.theta_i_deg + 1e-3 * k for k, p in enumerate(positions)],
+            theta_mes, [p.theta_mes_deg + 1e-3 * k for k, p in enumerate(positions)],
+        ),
+        keep,
+    )  # fmt: skip
+    step_ms = 1e3 * float(np.median(np.diff(marks)))
+    assert len(marks) == N
+    if moving:
+        rounds["moving, bluesky"].append(step_ms - 1e3 * MOVE_S)
+        return
+    rounds["step, bluesky"].append(step_ms)
+    marks.clear()
+
+    def events() -> Any:
         yield from open_run()
-        for _ in range(292):
+        for _ in range(N):
             yield from create()
             yield from read(detector)
             yield from save()
-            marks.append(time.perf_counter())
         yield from close_run()
 
-    documents: list[Any] = []
-    RunEngine({})(plan(), lambda name, document: documents.append((name, document)))
-    assert sum(name == "event" for name, _ in documents) == 292
-    return float(1e3 * np.median(np.diff(marks)))
+    RunEngine({})(events(), keep)
+    rounds["event, bluesky"].append(1e3 * float(np.median(np.diff(marks))))
 
 
-def main() -> None:
-    with tempfile.TemporaryDirectory(dir=sys.argv[1] if len(sys.argv) > 1 else ".") as name:
-        folder = Path(name)
-        spent, n_bytes = gonio_ms(folder)
-        floor = floor_ms(folder, n_bytes)
-    print(f"{'per position, ms':<52}{'median':>8}{'90 %':>8}")
-    for label, values in (
-        ("gonio, durable: journal + reduction + rows + flush", spent["record"]),
-        ("    journal record, confirmed by the disk", spent["journal"]),
-        ("    reduction and rows of the .h5", spent["rows"]),
-        ("    flush of the .h5", spent["flush"]),
-        ("floor: append and wait for the disk", floor),
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", nargs="?", default=".", type=Path)
+    parser.add_argument("--rounds", type=int, default=5)
+    options = parser.parse_args()
+    rounds: Rounds = defaultdict(list)
+    with tempfile.TemporaryDirectory(dir=options.folder) as name:
+        for _ in range(options.rounds):
+            gonio_steps(Path(name), rounds, moving=False)
+            bluesky_steps(rounds, moving=False)
+            floor(Path(name), rounds)
+            gonio_steps(Path(name), rounds, moving=True)
+            bluesky_steps(rounds, moving=True)
+    print(f"{'per position, ms':<46}{'median':>8}{'smallest':>10}{'largest':>9}   ({options.rounds} rounds)")
+    for label in (
+        "record, gonio",
+        "    journal: encode and hand to the system",
+        "    reduction and rows of the .h5",
+        "    flush of the .h5",
+        "    then waiting for the disk",
+        "event, bluesky",
+        "floor: append and wait for the disk",
+        "step, gonio",
+        "step, bluesky",
+        "moving, gonio",
+        "moving, bluesky",
     ):
-        print(f"{label:<52}{np.median(values):8.2f}{np.percentile(values, 90):8.2f}")
-    print(f"{'gonio, whole run / 292 (start and end included)':<52}{spent['whole'][0]:8.2f}")
-    print(f"{'bluesky RunEngine, event kept in memory':<52}{bluesky_ms():8.2f}")
+        values = rounds[label]
+        print(f"{label:<46}{np.median(values):8.2f}{min(values):10.2f}{max(values):9.2f}")
+    for ours, theirs in (("record", "event"), ("step", "step"), ("moving", "moving")):
+        ratio = np.array(rounds[f"{ours}, gonio"]) / np.array(rounds[f"{theirs}, bluesky"])
+        print(
+            f"gonio's {ours} / bluesky's {theirs}: {np.median(ratio):.2f} "
+            f"({ratio.min():.2f} to {ratio.max():.2f})"
+        )
+    return 0 if np.median(rounds["record, gonio"]) < np.median(rounds["event, bluesky"]) else 1
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

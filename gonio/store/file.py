@@ -145,6 +145,7 @@ class ScanFile:
     def _use_columns(self, data: h5py.Group) -> None:
         """Keep the columns at hand, and what a write to each needs: making that costs more than the write."""
         self._columns = {name: data[name] for name in COLUMNS}
+        self._memory: dict[tuple[int, ...], Any] = {}  # dataspaces by shape
         self._places = {
             name: (dataset.id, dataset.id.get_space(), h5py.h5t.py_create(dataset.dtype))
             for name, dataset in self._columns.items()
@@ -192,9 +193,9 @@ class ScanFile:
             raise StoreError(
                 f"{self.path}: position {last} is not among the {self._n} of the plan; check its journal"
             )
-        raw = np.stack([record.signal_v for record in records])
-        raw_sd = np.stack([record.signal_sd_v for record in records])
-        time_s = np.stack([record.time_s for record in records])
+        raw = _stacked([record.signal_v for record in records])
+        raw_sd = _stacked([record.signal_sd_v for record in records])
+        time_s = _stacked([record.time_s for record in records])
         averages = np.stack([np.broadcast_to(record.averages, raw.shape[1:]) for record in records])
         theta_i = np.array([record.theta_i_deg for record in records])
         theta_mes = np.array([record.theta_mes_deg for record in records])
@@ -208,8 +209,8 @@ class ScanFile:
                 ("raw_signal", raw),
                 ("raw_signal_sd", raw_sd),
                 ("reading_time", time_s),
-                ("wavelength_readback", np.stack([record.wavelength_nm for record in records])),
-                ("quality", np.stack([record.quality for record in records])),
+                ("wavelength_readback", _stacked([record.wavelength_nm for record in records])),
+                ("quality", _stacked([record.quality for record in records])),
                 ("theta_i", theta_i),
                 ("theta_mes", theta_mes),
                 ("theta_o", theta_mes - theta_i),
@@ -231,7 +232,10 @@ class ScanFile:
         dataset, place, memory_type = self._places[name]
         contiguous = np.ascontiguousarray(values, dtype=COLUMNS[name].dtype)
         place.select_hyperslab((rows.start,) + (0,) * (contiguous.ndim - 1), contiguous.shape)
-        dataset.write(h5py.h5s.create_simple(contiguous.shape), place, contiguous, memory_type)
+        memory = self._memory.get(contiguous.shape)
+        if memory is None:
+            memory = self._memory[contiguous.shape] = h5py.h5s.create_simple(contiguous.shape)
+        dataset.write(memory, place, contiguous, memory_type)
 
     def _write_reduced(self, rows: slice, reduced: Reduced) -> None:
         for name, values in (
@@ -343,6 +347,11 @@ class ScanFile:
             self._file = h5py.File(path, "r+", rdcc_nbytes=_CACHED_BYTES)
             self._entry = self._file["entry"]
             self._use_columns(self._entry["data"])
+
+
+def _stacked(rows: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Return arrays as rows; one alone, as in a running scan, without a copy."""
+    return rows[0][None] if len(rows) == 1 else np.stack(rows)
 
 
 def _growing(group: h5py.Group, name: str, column: Column, m: int) -> None:
