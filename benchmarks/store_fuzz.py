@@ -3,7 +3,8 @@
 A finished scan with a fit and a spectrum beside it, and the journal of an interrupted one, are damaged at
 random: bytes changed, runs of bytes set to 0 or 255, numbers of extreme size, blocks exchanged, ends cut
 off; payloads of the journal also with their checksum made right again.  Processes with 1.5 GB of address
-space read each file as `gonio.load`, `gonio check`, `gonio fit`, `gonio report` and `gonio scan --resume` do.
+space read each file as `gonio.load`, `gonio check`, `gonio fit` do, and every fourth as `gonio report` and
+`gonio scan --resume`.
 
 read          the file could be read, whatever the damage hit
 refused       a clear error that names the file
@@ -176,6 +177,8 @@ def _outcome(kind: str, seed: int, originals: dict[str, bytes], work: Path) -> l
         readers = [_load_cut, _resume]
         if kind == "sealed":
             readers[0] = _load
+    if seed % 4:
+        readers.pop()  # the slowest of them reads every fourth file
     worst = ["read", ""]
     for read in readers:
         try:

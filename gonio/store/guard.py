@@ -66,8 +66,9 @@ def dangers(path: Path, file: h5py.File) -> Iterator[str]:
                     elif kind == h5py.h5l.TYPE_HARD:
                         waiting.append((place, h5py.h5o.open(item, key), depth + 1))
             elif isinstance(item, h5py.h5d.DatasetID):
-                yield from _dataset(name, item, most_bytes)
-                texts += _text_bytes(item)
+                problems = list(_dataset(name, item, most_bytes))
+                yield from problems
+                texts += 0 if problems else _text_bytes(item)
                 if texts > _LONGEST_TEXTS:
                     yield f"{name} holds more than {_LONGEST_TEXTS} bytes of text; restore the file"
                     return

@@ -34,7 +34,9 @@ def endless_heap(path: Path) -> int | None:
 
 
 def _ends(data: mmap.mmap, start: int) -> bool:
-    end = min(start + int.from_bytes(data[start + 8 : start + 16], "little"), len(data))
+    end = start + int.from_bytes(data[start + 8 : start + 16], "little")
+    if end > len(data):
+        return True  # cut short: the library finds that out itself
     at = start + 16
     while at + _OBJECT.size <= end:
         number, _, _, size = _OBJECT.unpack_from(data, at)

@@ -60,7 +60,7 @@ def load(path: str | os.PathLike[str]) -> Scan:
             with opened(path, "r") as file:
                 return scan_in(path, file)
         except StoreError:
-            if not _journal(path).exists():  # else a scan has begun, or ended, between the two looks
+            if not os.path.isfile(_journal(path)):  # else a scan has begun, or ended, between the two looks
                 raise
     raise StoreError(f"{path}: changes faster than it can be read; try again when the scan has ended")
 
@@ -72,7 +72,7 @@ def scan_in(path: Path, file: h5py.File) -> Scan:
 
 def _unfinished(path: Path) -> Scan | None:
     """Return what the journal beside the file holds so far; None if there is none that can be read."""
-    if not _journal(path).is_file():
+    if not os.path.isfile(_journal(path)):  # Path.is_file raises for names that are too long
         return None
     from gonio.acquire.live import measured_so_far  # it writes scans, and so needs this package
 
