@@ -2,8 +2,8 @@
 
 The paper's plan (292 positions, 121 wavelengths) on devices that answer at once, in rounds that alternate:
 
-record   gonio: journal record confirmed by the disk, reduction, `.h5` rows and flush; the next position begins
-         after it
+record   gonio: journal record confirmed by the disk, reduction, `.h5` rows and flush; the next position
+         begins after it
 event    bluesky: `create`, `read`, `save` of the same array, its documents kept in memory
 step     from one record (or event) to the next, all that a runner does: choose the step, move, wait, read,
          verify, tell; bluesky's is `bp.list_scan` over two axes and a detector
