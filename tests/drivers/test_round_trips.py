@@ -31,12 +31,15 @@ def test_round_trips_of_a_poll_and_of_moves(any_stage_bench):
             return statistics.replies - before
 
         command = 1 if isinstance(axis._drive, ZaberDrive) else 2
-        cost(80.0)
-        # the fewest of several: a process that is held up between two polls needs one more
-        inward = min(cost(target_deg) for target_deg in range(78, 62, -2))
-        outward = min(cost(target_deg) for target_deg in range(66, 80, 2))
-        assert inward == 1 + command + 1 + 1
-        assert outward == 1 + 2 * (command + 1) + 1
+        one_leg, two_legs = 1 + command + 1 + 1, 1 + 2 * (command + 1) + 1
+        inward = outward = 100
+        for _ in range(8):  # the fewest of several: a process held up between two polls needs one more
+            cost(80.0)
+            inward = min(inward, *(cost(target_deg) for target_deg in range(78, 62, -2)))
+            outward = min(outward, *(cost(target_deg) for target_deg in range(66, 80, 2)))
+            if (inward, outward) == (one_leg, two_legs):
+                break
+        assert (inward, outward) == (one_leg, two_legs)
         assert cost(78.0) == 1, "it stands there already"
         before = statistics.replies
         axis._drive.state()
