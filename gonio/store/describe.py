@@ -90,7 +90,7 @@ def _write_instrument(entry: h5py.Group, header: ScanHeader) -> None:
         text_dataset(part, "model", answer)
 
     aperture = nexus_group(instrument, "aperture", "NXaperture")
-    text_dataset(aperture, "shape", "rectangle")
+    text_dataset(aperture, "description", "rectangle")  # shape has no word for it in NeXus
     quantity(aperture, "width", rig.width_mm, "mm", "width in the plane of incidence")
     quantity(aperture, "height", rig.height_mm, "mm", "height across the plane of incidence")
     quantity(aperture, "distance", rig.distance_mm, "mm", "distance from the sample's surface")
@@ -116,8 +116,8 @@ def _write_instrument(entry: h5py.Group, header: ScanHeader) -> None:
     quantity(polarizer, "p_angle", rig.p_deg, "deg", "rotator angle that transmits p")
 
     source = nexus_group(instrument, "source", "NXsource")
-    text_dataset(source, "type", "lamp")
-    text_dataset(source, "probe", "visible light")
+    text_dataset(source, "name", "lamp")  # which, the rig file may say
+    text_dataset(source, "probe", "photon")
     beam = nexus_group(instrument, "beam_incident", "NXbeam")
     instrument["beam"] = beam  # the same group under the shorter name
     text_dataset(beam, "description", "parallel beam on the sample; its direct signal is the 100 % baseline")
