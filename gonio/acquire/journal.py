@@ -242,7 +242,20 @@ class Journal:
         except OSError as error:
             raise self._taken_back(error) from error
         self._pending = len(data)
-        self._confirmed = self._disk.submit(_sync, self._descriptor)
+        self._confirmed = self._syncing(self._descriptor)
+
+    def _syncing(self, descriptor: int) -> Future[None]:
+        try:
+            return self._disk.submit(_sync, descriptor)
+        except RuntimeError:  # the interpreter is about to end, and begins nothing in the background any more
+            done: Future[None] = Future()
+            try:
+                _sync(descriptor)
+            except OSError as error:
+                done.set_exception(error)
+            else:
+                done.set_result(None)
+            return done
 
     def _taken_back(self, error: OSError) -> StoreError:
         """Cut off what may have been written, and return what to raise."""

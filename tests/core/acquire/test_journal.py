@@ -16,6 +16,7 @@ from hypothesis.extra import numpy as hnp
 
 import gonio
 from gonio.acquire import Runner, Snapshot, State, resume_scan
+from gonio.acquire import journal as journal_module
 from gonio.acquire.journal import MAGIC, Journal, decode, encode, frames, journal_path
 from gonio.acquire.lock import FileLock
 from gonio.errors import ScanStopped, StoreError
@@ -204,6 +205,40 @@ def test_a_record_damaged_in_the_middle_costs_only_itself(tmp_path: Path) -> Non
     journal, _, records, _ = Journal.reopen(path)
     journal.close()
     assert [r.index for r in records if isinstance(r, PositionRecord)] == [0, 2, 9]
+
+
+def test_what_the_disk_does_not_confirm_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.journal"
+    journal = Journal.create(path, a_header())
+    journal.append(a_position(0))
+    end = written(path)
+
+    def dying(_descriptor: int) -> None:
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(journal_module, "_sync", dying)
+    journal.write(a_position(1))
+    with pytest.raises(StoreError, match=r"cannot be written.*Input/output error"):
+        journal.confirm()
+    monkeypatch.undo()
+    assert written(path) == end
+    journal.append(a_position(1))  # the disk is back: kept once
+    journal.close()
+    journal, _, records, note = Journal.reopen(path)
+    journal.close()
+    assert [r.index for r in records if isinstance(r, PositionRecord)] == [0, 1]
+    assert note == ""
+
+
+def test_at_the_end_of_the_interpreter_records_are_kept_without_a_thread(tmp_path: Path) -> None:
+    path = tmp_path / "a.journal"
+    journal = Journal.create(path, a_header())
+    journal._disk.shutdown()
+    journal.append(a_position(0))
+    journal.close()
+    journal, _, records, _ = Journal.reopen(path)
+    journal.close()
+    assert len(records) == 1
 
 
 def test_a_foreign_journal_is_not_touched(tmp_path: Path) -> None:

@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 
 import gonio as package
+from gonio.acquire import FaultPolicy
+from gonio.bench_process import served
 from gonio.cli import main
 
 from .conftest import gonio
@@ -90,3 +92,13 @@ def test_the_queue_of_the_examples_passes_its_check(tmp_path: Path) -> None:
     shutil.copytree(EXAMPLES / "queues", tmp_path / "queues")
     shutil.copytree(EXAMPLES / "plans", tmp_path / "plans")
     assert main(["queue", str(tmp_path / "queues" / "panels.toml"), "--check"]) == 0
+
+
+def test_the_script_of_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (EXAMPLES.parent / "docs" / "acquisition.md").read_text(encoding="utf-8")
+    code = page.split("```python")[1].split("```")[0]
+    (tmp_path / "plan.toml").write_text(PLAN, encoding="utf-8")
+    (tmp_path / "queue.toml").write_text(QUEUE, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    exec(code, {"gonio": package, "served": served, "FaultPolicy": FaultPolicy})
+    assert all(package.load(tmp_path / name).finished for name in ("white.h5", "grey.h5"))
