@@ -32,15 +32,21 @@ class FaultPolicy:
     first_wait_s
         Real seconds before the first further attempt; twice as long before each that follows, at most
         `LONGEST_WAIT_S`: a device that restarts needs its time.
+    silence_s
+        Real seconds without a sign of life (a reading, a motion that ended, a step) after which everything is
+        stopped and the step counts as failed.
     """
 
     retries: int = 3
     then: Then = "abort"
     first_wait_s: float = 0.5
+    silence_s: float = 900.0
 
     def __post_init__(self) -> None:
         if self.retries < 0:
             raise ConfigError(f"retries = {self.retries}: give 0 or more further attempts")
+        if not self.silence_s > 0:
+            raise ConfigError(f"silence_s = {self.silence_s:g}: give real seconds above zero")
         if self.then not in ("pause", "skip", "abort"):
             raise ConfigError(f"on fault = '{self.then}': give pause, skip or abort")
 

@@ -35,7 +35,8 @@ from gonio.acquire.policy import FaultPolicy
 from gonio.acquire.preparing import Prepared, prepared
 from gonio.acquire.session import OnRecord, Session, facts_of
 from gonio.acquire.state import Snapshot, State
-from gonio.acquire.steps import Pace, PositionStep, ReferenceStep, Step
+from gonio.acquire.steps import Pace, PositionStep, ReferenceStep, Step, describe
+from gonio.acquire.watchdog import Watchdog
 from gonio.devices import Quality
 from gonio.errors import DeviceError, GonioError, RefusedError, ScanStopped, StoreError
 from gonio.plan.model import Plan
@@ -110,6 +111,8 @@ class Runner:
         self._done = 0
         self._steps_done = 0
         self._skipped_in_a_row = 0
+        self._watchdog = Watchdog(self.policy.silence_s, self._gave_no_sign)
+        self._silent: DeviceError | None = None  # what the watchdog made of a silence
         self._untold: list[EventRecord] = []  # that the disk would not take
         self._message = ""
         self._published_s = 0.0
@@ -212,7 +215,8 @@ class Runner:
             self._wavelength_nm = ready.columns.wavelength_nm
             self._open_session(ready)
             self._set(State.RUNNING, "")
-            self._perform_all()
+            with Watchdog(self.policy.silence_s, self._gave_no_sign) as self._watchdog:
+                self._perform_all()
             self._rig.spectrometer.close_shutter()
             self._step = None
             self._message = "correcting with all references"
@@ -300,11 +304,13 @@ class Runner:
         faults = failed = 0
         while True:
             self._step, self._reading = step, 0
-            self._message = _describe(step)
+            self._message = describe(step)
             try:
                 record = self._devices.measure(step)
-            except (_Interrupted, DeviceError, RefusedError, ScanStopped) as error:
+            except (_Interrupted, DeviceError, RefusedError, ScanStopped) as ended:
                 self._raise_if_stopped()
+                error = self._silent or ended
+                self._silent = None
                 if self._pause_at_once:  # the stop of the motors may have become an error of its own
                     self._wait_for_resume("paused at once by the operator", "info")
                     continue
@@ -318,7 +324,7 @@ class Runner:
             else:
                 if failed:
                     record.quality[:] |= np.uint16(Quality.RETRIED)
-                    self._event("info", f"{_describe(step)}: measured after {_times(failed)}")
+                    self._event("info", f"{describe(step)}: measured after {_times(failed)}")
                 self._skipped_in_a_row = 0
                 return record
 
@@ -331,7 +337,7 @@ class Runner:
         policy = self.policy
         while True:
             troubles = self._devices.rest()
-            self._event("warning", "; ".join([f"{_describe(step)}: {error}", *troubles]), error)
+            self._event("warning", "; ".join([f"{describe(step)}: {error}", *troubles]), error)
             skips = False
             if isinstance(error, DeviceError) and faults <= policy.retries:
                 self._message = f"attempt {faults + 1} of {policy.retries + 1} follows: {error}"
@@ -358,7 +364,7 @@ class Runner:
             if done:
                 self._event("info", f"recovered: {'; '.join(done)}")
             if skips:
-                self._event("warning", f"{_describe(step)}: skipped after {_times(faults)}")
+                self._event("warning", f"{describe(step)}: skipped after {_times(faults)}")
                 return -1
             return faults
 
@@ -393,7 +399,10 @@ class Runner:
             raise ScanStopped("the scan was stopped")
 
     def _raise_if_interrupted(self) -> None:
+        self._watchdog.feed()
         self._raise_if_stopped()
+        if self._silent is not None:
+            raise _Interrupted("no sign of life")
         if self._pause_at_once:
             raise _Interrupted("the step was ended early")
 
@@ -402,6 +411,18 @@ class Runner:
         self._reading = index + 1
         if time.monotonic() - self._published_s > _SNAPSHOT_INTERVAL_S:
             self._publish()
+
+    def _gave_no_sign(self, silent_s: float) -> None:
+        """Stop everything, so that whatever hangs may come back with an error; the watchdog's thread."""
+        if self._state is State.RUNNING:
+            self._silent = DeviceError(
+                "the rig",
+                f"gave no sign of life for {silent_s:.0f} s ({self._message})",
+                "look which device hangs; switch it off and on",
+            )
+            self._message = str(self._silent)
+            with suppress(GonioError, OSError):
+                self._rig.stop()
 
     # -- ends ------------------------------------------------------------------------------------------------
 
@@ -477,15 +498,6 @@ class Runner:
 
 def _times(count: int) -> str:
     return "a failed attempt" if count == 1 else f"{count} failed attempts"
-
-
-def _describe(step: Step) -> str:
-    if isinstance(step, PositionStep):
-        at = step.position
-        return f"theta_i = {at.theta_i_deg:g} deg, theta_mes = {at.theta_mes_deg:g} deg, {at.polarization}"
-    if step.kind == "dark":
-        return f"dark reading ({step.when})"
-    return f"100 % baseline ({step.when}), {step.polarization}"
 
 
 def _now_iso() -> str:

@@ -59,6 +59,16 @@ def steps_of(plan: Plan, rig: RigConfig) -> list[Step]:
     ]
 
 
+def describe(step: Step) -> str:
+    """Return what a step measures, in words."""
+    if isinstance(step, PositionStep):
+        at = step.position
+        return f"theta_i = {at.theta_i_deg:g} deg, theta_mes = {at.theta_mes_deg:g} deg, {at.polarization}"
+    if step.kind == "dark":
+        return f"dark reading ({step.when})"
+    return f"100 % baseline ({step.when}), {step.polarization}"
+
+
 class Pace:
     """Estimates the time left: the model's, scaled by how much longer the steps so far took than their model.
 

@@ -301,3 +301,44 @@ def test_a_policy_that_is_none(wrong: dict[str, Any]) -> None:
 def test_waits_grow_and_are_bounded() -> None:
     policy = FaultPolicy(first_wait_s=0.5)
     assert [policy.wait_s(k) for k in (1, 2, 3, 20)] == [0.5, 1.0, 2.0, 60.0]
+
+
+def test_a_driver_that_hangs_is_stopped_and_told(memory: ModuleType, plan: Plan, tmp_path: Path) -> None:
+    """A call that returns only when everything is stopped, and the next that works."""
+    world, path = memory.World(), tmp_path / "scan.h5"
+    rig = memory.rig(world)
+    hung: list[bool] = []
+
+    class Hanging(memory.MemorySpectrometer):  # type: ignore[misc, name-defined]
+        def measure_spectrum(self, *args: Any, **kwargs: Any) -> Any:
+            if runner.snapshot().position == 3 and not hung:
+                self.stop_event.clear()
+                hung.append(self.stop_event.wait(20))
+            return super().measure_spectrum(*args, **kwargs)
+
+        def stop(self) -> None:
+            super().stop()
+
+    rig.spectrometer = Hanging(world, rig.stage)
+    runner = Runner(rig, plan, path, policy=FaultPolicy(retries=2, first_wait_s=0.0, silence_s=0.3))
+    runner.run()
+    assert hung == [True]
+    assert check_angles(memory, plan, path).usable.all()
+    assert any("the rig: gave no sign of life for" in text for text in events(path))
+
+
+def test_a_pause_is_no_silence(memory: ModuleType, plan: Plan, tmp_path: Path) -> None:
+    world, path = memory.World(), tmp_path / "scan.h5"
+
+    def on_snapshot(snapshot: Snapshot) -> None:
+        if snapshot.done == 2 and snapshot.state is State.RUNNING and not paused:
+            paused.append(True)
+            runner.pause()
+            threading.Timer(0.6, runner.resume).start()
+
+    paused: list[bool] = []
+    policy = FaultPolicy(silence_s=0.2)
+    runner = Runner(memory.rig(world), plan, path, on_snapshot=on_snapshot, policy=policy)
+    runner.run()
+    assert paused
+    assert not any("sign of life" in text for text in events(path))
