@@ -44,6 +44,7 @@ def measured_so_far(path: Path) -> Scan | None:
         file = ScanFile(path, header, plan, "memory")
         try:
             add_records(file, records)
+            file.flush()  # sizes are held against what is in the file, not in a cache
             return scan_in(path, file.hdf5)
         finally:
             file.close()
