@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import shutil
 import subprocess
 import sys
@@ -113,17 +114,18 @@ def test_what_is_read_on_the_way_is_what_the_file_shows(
         np.testing.assert_array_equal(getattr(seen[0], name), getattr(stored, name))
 
 
-def test_more_positions_than_a_cache_holds_are_read_on_the_way(memory: ModuleType, tmp_path: Path) -> None:
+def test_more_positions_than_a_cache_holds_are_read_on_the_way(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(Path(__file__).parents[3] / "benchmarks")
+    bench = importlib.import_module("store_live")
+    monkeypatch.setattr("gonio.acquire.session.Session.finish", lambda session, _end_time: session.close())
     path = tmp_path / "scan.h5"
-    text = memory.PLAN_TOML.replace("step_nm = 10.0", "step_nm = 0.1").replace("step = 60.0", "step = 1.0")
-    seen: list[int] = []
-
-    def look(snapshot: Snapshot) -> None:
-        if snapshot.done == 110 and not seen:
-            seen.append(len(gonio.load(path).position))
-
-    Runner(memory.rig(), parse_plan(text), path, on_snapshot=look).run()
-    assert seen == [110]
+    bench.write(path, 2000)
+    assert journal_path(path).exists()
+    scan = gonio.load(path)
+    assert scan.position.tolist() == list(range(2000))
+    np.testing.assert_array_equal(scan.raw_signal_v[:, 0], scan.position)
 
 
 def test_an_unfinished_scan_loads_even_if_its_h5_is_gone(
