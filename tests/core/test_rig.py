@@ -94,7 +94,8 @@ def test_a_fast_clock_never_meets_real_hardware() -> None:
 
 def test_an_unknown_driver_lists_those_there_are() -> None:
     with pytest.raises(
-        ConfigError, match="'newport' is not installed; installed stage drivers: applied-motion, modbus-registers, zaber"
+        ConfigError,
+        match="'newport' is not installed; installed stage drivers: applied-motion, modbus-registers, zaber",
     ):
         parse_rig(default_rig_text().replace('driver = "zaber"', 'driver = "newport"'))
 

@@ -52,19 +52,19 @@ UNSEEN = {
 # name, target, when and how, kind of stage
 CASES: list[tuple[str, str, str, str]] = []
 ON_A_LINE = {
-    "slow-reply": ":delay_s=0.05",
+    "slow-reply": ":delay_s=0.03",
     "dropped-reply": "",
     "late-reply": "",
     "dropped-request": "",
-    "hang": ":hang_s=0.6",
+    "hang": ":hang_s=0.25",
     "garbage": "",
     "corrupt-reply": "",
     "corrupt-request": "",
     "split-reply": ":gap_s=0.001",
     "doubled-reply": "",
-    "disconnect": ":refuse_s=0.2",
+    "disconnect": ":refuse_s=0.1",
 }
-EVERY = {"stage": 41, "polarizer": 5, "monochromator": 41, "lockin": 41}  # the polarizer is asked little
+EVERY = {"stage": 41, "polarizer": 8, "monochromator": 41, "lockin": 41}  # the polarizer is asked little
 for name, keys in ON_A_LINE.items():
     CASES += [(name, role, f"every={EVERY[role]}{keys}", "zaber") for role in LINES]
     CASES += [(name, "stage", f"every=41{keys}", stage) for stage in ("modbus-rtu", "modbus-tcp")]
@@ -76,8 +76,8 @@ CASES += [("stall", "polarizer", "every=3", "zaber"), ("alarm", "polarizer", "ev
 CASES += [("knob", "stage", "every=5:moving=true", stage) for stage in STAGES]
 CASES += [("knob", "stage", "every=5:by=push", "zaber")]
 CASES += [("stall", "stage", "every=5:silent=true", "zaber")]  # its encoder knows
-CASES += [("power-cycle", role, f"every={EVERY[role] + 4}:boot_s=0.3", "zaber") for role in LINES]
-CASES += [("power-cycle", "stage", "every=45:boot_s=0.3", stage) for stage in ("modbus-rtu", "modbus-tcp")]
+CASES += [("power-cycle", role, f"every={EVERY[role] + 4}:boot_s=0.15", "zaber") for role in LINES]
+CASES += [("power-cycle", "stage", "every=45:boot_s=0.15", stage) for stage in ("modbus-rtu", "modbus-tcp")]
 CASES += [("detector-saturated", "pmt", "every=11:hold_s=1.0", "zaber")]
 CASES += [("lockin-overload", "lockin", f"every=5:at={at}", "zaber") for at in ("input", "output")]
 CASES += [(f"{what}-stuck", "monochromator", "every=3", "zaber") for what in ("filter", "grating", "shutter")]
@@ -99,7 +99,7 @@ def quiet(stage: str, fault: str | None = None) -> str:
     text = re.sub(r"(lamp_drift_per_hour|flicker|shot_at_full|floor) = \S+", r"\1 = 0.0", text)
     if fault is not None:
         text = re.sub(r"seed = (\d+)", rf"seed = \1\nfaults = ['{fault}']", text)
-    return text.replace("[aperture]", "[wire]\nreply_timeout_s = 0.2\n\n[aperture]", 1)
+    return text.replace("[aperture]", "[wire]\nreply_timeout_s = 0.1\n\n[aperture]", 1)
 
 
 def measured(config: object, path: Path) -> DeviceError | None:
@@ -116,7 +116,7 @@ def measured(config: object, path: Path) -> DeviceError | None:
             return None
         except DeviceError as error:
             failure = error
-            time.sleep(0.25)  # an operator is no faster
+            time.sleep(0.15)  # an operator is no faster
     return failure
 
 
