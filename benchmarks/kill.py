@@ -34,6 +34,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import tomllib
 from collections.abc import Iterator
@@ -66,6 +67,7 @@ theta_mes_deg = { start = 30.0, stop = 120.0, step = 10.0 }
 every_positions = 12
 """
 CLOCK = 4000.0
+LONGEST_S = 60.0  # a life takes less than two seconds
 POWER_CUTS = 0.1
 NTH = {"position": 6, "journal": 9, "rows": 6, "flush": 9, "confirming": 9, "reference": 2}
 ROUND = tuple(p for p in PHASES for _ in range({"finish": 2, "outside": 2}.get(p, 1)))
@@ -90,9 +92,15 @@ class Nursery:
         assert orders is not None
         assert answers is not None
         print(json.dumps(None if order is None else asdict(order)), file=orders, flush=True)
-        answers.readline()
-        print("reap", file=orders, flush=True)
-        status, phase, typical = json.loads(answers.readline())
+        pid = int(answers.readline())
+        # a life that hangs is no kill: it ends by another signal, and counts as stuck
+        overdue = threading.Timer(LONGEST_S, os.kill, (pid, signal.SIGABRT))
+        overdue.start()
+        try:
+            print("reap", file=orders, flush=True)
+            status, phase, typical = json.loads(answers.readline())
+        finally:
+            overdue.cancel()
         return status, phase, typical
 
     def close(self) -> None:
@@ -142,7 +150,8 @@ def after_a_life(
         examiner.finished(path)
     else:
         tally.not_resumed += 1
-        tally.complain(f"a life ended with exit code {status}; see lives.log")
+        hung = f"hung for {LONGEST_S:g} s" if status == -signal.SIGABRT else f"ended with exit code {status}"
+        tally.complain(f"a life {hung} while in {phase}; see lives.log")
         journal_path(path).unlink(missing_ok=True)
     path.unlink(missing_ok=True)
     return set()
