@@ -33,6 +33,7 @@ from gonio.acquire.lock import FileLock
 from gonio.errors import StoreError
 from gonio.store.file import sync_folder
 from gonio.store.records import (
+    DecisionRecord,
     DetectorFacts,
     EventRecord,
     PositionRecord,
@@ -40,6 +41,7 @@ from gonio.store.records import (
     ReferenceRecord,
     RigFacts,
     ScanHeader,
+    SourceFacts,
 )
 from gonio.store.sane import refuse_nonsense
 
@@ -51,6 +53,7 @@ _AHEAD = bytes(1 << 18)  # fifty positions of a hundred wavelengths
 _KINDS: dict[str, type[Any]] = {
     "header": ScanHeader,
     "reference": ReferenceRecord,
+    "decision": DecisionRecord,
     "position": PositionRecord,
     "event": EventRecord,
 }
@@ -73,6 +76,8 @@ def encode(record: Record) -> bytes:
     packed: list[bytes] = []
     for field in dataclasses.fields(record):
         value = getattr(record, field.name)
+        if value is None and field.default is None:
+            continue  # a scan that has no such thing is written as before there was one
         if isinstance(value, np.ndarray):
             little = value.astype(value.dtype.newbyteorder("<"), copy=False)
             arrays.append((field.name, little.dtype.str, value.size))
@@ -101,6 +106,8 @@ def decode(payload: bytes) -> Record:
         rig = fields["rig"]
         rig["detectors"] = tuple(DetectorFacts(**detector) for detector in rig["detectors"])
         fields["rig"] = RigFacts(**rig)
+        if "source" in fields:
+            fields["source"] = SourceFacts(**fields["source"])
     record: Record = kind(**fields)
     return record
 

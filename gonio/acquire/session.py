@@ -13,15 +13,17 @@ from pathlib import Path
 
 import numpy as np
 
+from gonio.acquire.history import History
 from gonio.acquire.journal import Journal, died_at_birth, journal_path
 from gonio.acquire.room import RESERVE_BYTES, must_have_room, prove_room
 from gonio.errors import StoreError
-from gonio.plan.model import Plan, parse_plan
+from gonio.plan.model import Plan, Position, parse_plan
 from gonio.rig import RigConfig
 from gonio.store.file import ScanFile, explained, sync_file
 from gonio.store.layout import SPECTRUM_GROUPS
 from gonio.store.read import opened
 from gonio.store.records import (
+    DecisionRecord,
     DetectorFacts,
     EventRecord,
     PositionRecord,
@@ -45,6 +47,8 @@ class Session:
         Keys of the steps whose records are on the disk (see `gonio.acquire.steps`).
     last_time_s, last_unix_s
         Latest time on the scan's axis and on the computer's clock that a record bears.
+    history
+        What a source of positions decided and was told, if the scan has one.
     """
 
     def __init__(
@@ -55,6 +59,12 @@ class Session:
         self.done: set[int | tuple[str, str, str]] = set()
         self.last_time_s = 0.0
         self.last_unix_s = header.unix_s
+        self.history: History | None = None
+        if header.source is not None:
+            columns_nm = _plan_of(path, header).wavelength_nm
+            if header.wavelength_nm is not None:
+                columns_nm = header.wavelength_nm
+            self.history = History(columns_nm, header.detector_index)
         self._journal = journal
         self._file = file
         self._on_record = on_record
@@ -98,7 +108,7 @@ class Session:
             session._note(record)
         return session, "; ".join(text for text in (note, remark) if text)
 
-    def record(self, record: ReferenceRecord | PositionRecord | EventRecord) -> None:
+    def record(self, record: ReferenceRecord | DecisionRecord | PositionRecord | EventRecord) -> None:
         """Keep a record for good: it is on the disk when this returns.
 
         After a `StoreError` it may be called again with the same record, which is kept once.  If it was the
@@ -138,6 +148,10 @@ class Session:
         self._broken = False
 
     def _note(self, record: Record) -> None:
+        if self.history is not None and not self.history.note(record):
+            return
+        if isinstance(record, DecisionRecord):
+            return
         if isinstance(record, PositionRecord):
             self.done.add(record.index)
         elif isinstance(record, ReferenceRecord):
@@ -154,8 +168,23 @@ class Session:
             self._on_record(record)
 
     def finish(self, end_time: str) -> None:
-        """Correct all positions with all references, close the file for good and remove the journal."""
+        """Correct all positions with all references, close the file for good and remove the journal.
+
+        Where a source chose the positions, the file is first made anew with a row for each of them and no
+        more, and with the sweeps that they turned out to be.
+        """
         self.repair()
+        if self.history is not None:
+            self._file.close()
+            self._broken = True  # until it is there again; the journal has everything
+            self._file, _ = _made(
+                self.path,
+                self.header,
+                _plan_of(self.path, self.header),
+                self._journal.records(),
+                self.history.decided,
+            )
+            self._broken = False
         for event in self._file.finish(end_time):
             self._note(event)
         self._file.close()
@@ -218,6 +247,11 @@ def add_records(file: ScanFile, records: Sequence[Record]) -> None:
     """Write records in order, runs of consecutive positions at once."""
     block: list[PositionRecord] = []
     for record in records:
+        if isinstance(record, DecisionRecord):
+            file.add_decision(record)  # of other columns than the block's
+            continue
+        if isinstance(record, PositionRecord) and not file.expects(record.index):
+            continue
         if isinstance(record, PositionRecord):
             if block and (record.index != block[-1].index + 1 or len(block) == _BLOCK):
                 file.add_positions(block)
@@ -239,13 +273,19 @@ def _plan_of(path: Path, header: ScanHeader) -> Plan:
     return parse_plan(header.plan_text, source=f"the plan in {journal_path(path).name}")
 
 
-def _made(path: Path, header: ScanHeader, plan: Plan, records: Sequence[Record]) -> tuple[ScanFile, str]:
+def _made(
+    path: Path,
+    header: ScanHeader,
+    plan: Plan,
+    records: Sequence[Record],
+    decided: Sequence[Position] | None = None,
+) -> tuple[ScanFile, str]:
     """Make the file of the records and put it in the place of the old one, if there is one, in one step.
 
     A file of that name is whole at any instant.  Returned with a remark on what of the old one was lost.
     """
     temporary = path.with_name(path.name + ".rebuilt")  # under the journal's lock: a leftover is ours
-    file = ScanFile(temporary, header, plan, "w")
+    file = ScanFile(temporary, header, plan, "w", decided)
     try:
         add_records(file, records)
         remark = _carry_over(path, file)

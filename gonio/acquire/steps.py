@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gonio.plan.model import Plan, Position
-from gonio.plan.timetable import PlannedReference, ReferencePolarization, timetable
+from gonio.plan.timetable import PlannedReference, PlannedStep, ReferencePolarization, timetable
 from gonio.rig import RigConfig
 from gonio.store.records import ReferenceKind
 
@@ -52,11 +52,17 @@ def steps_of(plan: Plan, rig: RigConfig) -> list[Step]:
     """Return every step of the plan in measuring order; see `gonio.plan.timetable`."""
     table = timetable(plan, rig)
     return [
-        ReferenceStep(step.task.kind, step.task.when, step.task.polarization, duration_s, step.descending)
-        if isinstance(step.task, PlannedReference)
-        else PositionStep(step.task, duration_s, step.descending)
+        as_step(step, duration_s)
         for step, duration_s in zip(table.steps, table.duration_s.tolist(), strict=True)
     ]
+
+
+def as_step(planned: PlannedStep, duration_s: float) -> Step:
+    """Return a planned step as one to be done; `duration_s` on the instrument's clock."""
+    task = planned.task
+    if isinstance(task, PlannedReference):
+        return ReferenceStep(task.kind, task.when, task.polarization, duration_s, planned.descending)
+    return PositionStep(task, duration_s, planned.descending)
 
 
 def describe(step: Step) -> str:
@@ -88,6 +94,11 @@ class Pace:
         """Count a step."""
         self._done_model_s += step.duration_s
         self._left_model_s -= step.duration_s
+
+    def expect(self, left_model_s: float, longest_s: float) -> None:
+        """Say anew what is left, where a source decides on the way."""
+        self._left_model_s = left_model_s
+        self._weight_s = max(self._weight_s, longest_s)
 
     def paused(self, duration_s: float) -> None:
         """Leave out a pause."""

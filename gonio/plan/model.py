@@ -28,6 +28,7 @@ from gonio.plan.tables import (
     References,
     Repeats,
     Sample,
+    Source,
     Sweep,
     WavelengthRange,
     When,
@@ -58,8 +59,8 @@ class Position:
 
 
 class Plan(PlanTable):
-    """A validated `plan.toml`; all of it has a default but `wavelengths` and one of `sweeps` and
-    `positions`.
+    """A validated `plan.toml`; all of it has a default but `wavelengths` and one of `sweeps`, `positions` and
+    `source`.
     """
 
     title: str = "Goniospectrophotometer scan"
@@ -75,6 +76,7 @@ class Plan(PlanTable):
     ] = Field(default=(), alias="positions")
     reading: Reading = Reading()
     references: References = References()
+    source: Source | None = None
     order: Order = Order()
     repeats: Repeats = Repeats()
 
@@ -87,7 +89,7 @@ class Plan(PlanTable):
     def _consistent(self) -> Self:
         if not self.wavelengths:
             raise ValueError("wavelengths is empty; add at least one [[wavelengths]] table")
-        if not self.sweeps and not self.positions_listed:
+        if not self.sweeps and not self.positions_listed and self.source is None:
             raise ValueError("sweeps is missing; add at least one [[sweeps]] or [[positions]] table")
         self._refuse_disorder()
         n_positions = self.n_positions

@@ -82,6 +82,14 @@ class Sample(PlanTable):
     description: str = ""
 
 
+class Source(PlanTable):
+    """Who chooses the positions: ``python`` for the script that runs the scan, or the name of an entry point
+    of the group ``gonio.sources``.
+    """
+
+    name: Annotated[str, Field(min_length=1)]
+
+
 class WavelengthRange(PlanTable):
     """Wavelengths from `start_nm` to `stop_nm` inclusive, or a list, and how long each is measured.
 

@@ -109,31 +109,61 @@ def timetable(plan: Plan, rig: RigConfig) -> Timetable:
     The same plan and rig give the same steps, so that an interrupted scan finds its place again.  References
     that are due every so many minutes are placed by the time that this model says.
     """
-    model = _Model(plan, rig)
-    steps: list[PlannedStep] = []
-    for kind, polarization in reference_sequence(plan, "start"):
-        steps.append(model.step(PlannedReference(kind, "start", polarization)))
-    steps.extend(_with_periodic(plan, model))
-    for kind, polarization in reference_sequence(plan, "end"):
-        steps.append(model.step(PlannedReference(kind, "end", polarization)))
+    course = Course(plan, rig)
+    steps = course.start()
+    for position in plan.positions():
+        steps.extend(course.to(position))
+    steps.extend(course.end())
     return Timetable(tuple(steps), rig.clock_speed())
 
 
-def _with_periodic(plan: Plan, model: _Model) -> Iterator[PlannedStep]:
-    """Yield the positions with the references that are due between them."""
-    references = plan.references
-    kinds, every_s = references.periodic_kinds, 60.0 * (references.every_minutes or np.inf)
-    every = references.every_positions or np.inf
-    since_s, since = 0.0, 0
-    for position in plan.positions():
-        if since and kinds and (since >= every or since_s + model.seconds(model.next(position)) > every_s):
-            for task in _periodic(plan, kinds, position, model.polarization):
-                yield model.step(task)
-            since_s, since = 0.0, 0
+class Course:
+    """The steps of a scan one after the other, for whoever does not know all positions before."""
+
+    def __init__(self, plan: Plan, rig: RigConfig) -> None:
+        references = plan.references
+        self._plan = plan
+        self._model = _Model(plan, rig)
+        self._kinds = references.periodic_kinds
+        self._every_s = 60.0 * (references.every_minutes or np.inf)
+        self._every = references.every_positions or np.inf
+        self._since_s, self._since = 0.0, 0
+
+    def start(self) -> list[PlannedStep]:
+        """Return the references at the start."""
+        return self._references("start")
+
+    def to(self, position: Position) -> list[PlannedStep]:
+        """Return the references that are due before a position, and the position."""
+        model, steps = self._model, []
+        if self._since and self._kinds and self._due(position):
+            for task in _periodic(self._plan, self._kinds, position, model.polarization):
+                steps.append(model.step(task))
+            self._since_s, self._since = 0.0, 0
         step = model.step(position)
-        since_s += model.seconds(step)
-        since += 1
-        yield step
+        self._since_s += model.seconds(step)
+        self._since += 1
+        return [*steps, step]
+
+    def end(self) -> list[PlannedStep]:
+        """Return the references at the end."""
+        return self._references("end")
+
+    def seconds(self, step: PlannedStep) -> float:
+        """Return the duration of a step on the instrument's clock."""
+        return self._model.seconds(step)
+
+    def _due(self, position: Position) -> bool:
+        model = self._model
+        return self._since >= self._every or (
+            self._since_s + model.seconds(model.next(position)) > self._every_s
+        )
+
+    def _references(self, when: Literal["start", "end"]) -> list[PlannedStep]:
+        return [
+            self._model.step(PlannedReference(kind, when, polarization))
+            for kind, polarization in reference_sequence(self._plan, when)
+        ]
 
 
 def _periodic(

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import time
-from collections import defaultdict, deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.errors import StoreError
-from gonio.plan.model import Plan
+from gonio.plan.model import Plan, Position
 from gonio.store.describe import link_instrument, nexus_group, text_dataset, text_list, write_entry
+from gonio.store.latest import LatestReduction
 from gonio.store.layout import (
     COLUMNS,
     EVENT_COLUMNS,
@@ -31,13 +31,13 @@ from gonio.store.layout import (
     Column,
     chunk_rows,
 )
-from gonio.store.records import EventRecord, PositionRecord, ReferenceRecord, ScanHeader
+from gonio.store.records import DecisionRecord, EventRecord, PositionRecord, ReferenceRecord, ScanHeader
 from gonio.store.reduction import Reduced, Reduction
-from gonio.store.sweeps import fill_sweeps, write_sweeps
+from gonio.store.source import known_positions, rows_of, write_decision, write_positions, write_source
+from gonio.store.sweeps import fill_sweeps
 from gonio.store.verdict import beamless, changes, no_beam_message
 
 _ABANDONED: list[ScanFile] = []  # kept, so that the collector does not close them
-_LATEST = 8  # references of one kind: what a long scan's cost per position must not grow with
 _CACHED_BYTES = 131_072  # of each dataset: the rows being written; each flush looks at every chunk kept
 _BLOCK = 1024  # rows corrected at a time: a few MB, however long the scan
 
@@ -56,18 +56,24 @@ def explained(path: Path, doing: str) -> Iterator[None]:
 class ScanFile:
     """An open scan file: `add_*`, then `finish` and `close`.
 
-    In mode ``memory`` nothing is on the disk, and `path` is but the name in messages.
+    In mode ``memory`` nothing is on the disk, and `path` is but the name in messages.  Where a source chooses
+    the positions there are rows for all that it may ask for, or for those `decided` once it has ended.
     """
 
-    def __init__(self, path: Path, header: ScanHeader, plan: Plan, mode: Literal["x", "w", "memory"]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        header: ScanHeader,
+        plan: Plan,
+        mode: Literal["x", "w", "memory"],
+        decided: Sequence[Position] | None = None,
+    ) -> None:
         self.path = path
         self._plan = plan
         self._header = header
         self._references: list[ReferenceRecord] = []
-        self._latest: dict[tuple[str, str], deque[ReferenceRecord]] = defaultdict(
-            lambda: deque(maxlen=_LATEST)
-        )
-        self._reduction: Reduction | None = None  # made when a position needs it after a new reference
+        self._latest = LatestReduction(header.detector_index)
+        self._decided: set[int] | None = None if header.source is None else set()
         try:
             if mode == "memory":
                 self._file = h5py.File(str(path), "w", driver="core", backing_store=False)
@@ -81,7 +87,7 @@ class ScanFile:
             ) from None
         try:
             with explained(path, "written"):
-                self._describe()
+                self._describe(decided)
                 self._file.flush()
         except BaseException:
             self._file.close()
@@ -92,16 +98,16 @@ class ScanFile:
     # -- layout
     # ------------------------------------------------------------------------------------------------
 
-    def _describe(self) -> None:
+    def _describe(self, decided: Sequence[Position] | None) -> None:
         plan, header = self._plan, self._header
         entry = write_entry(self._file, header, plan)
         data = nexus_group(entry, "data", "NXdata")
         data.attrs["signal"] = "r"
         data.attrs["axes"] = ["position", "wavelength"]
         data.attrs["title"] = plan.title
-        positions = plan.positions()
+        positions = known_positions(header, plan, decided)
         wavelength_nm = plan.wavelength_nm if header.wavelength_nm is None else header.wavelength_nm
-        n, m = len(positions), len(wavelength_nm)
+        n, m = rows_of(header, positions), len(wavelength_nm)
         self._n = n
         if m != len(header.detector_index):
             raise StoreError(f"{self.path}: {m} wavelengths, but detectors for {len(header.detector_index)}")
@@ -125,14 +131,11 @@ class ScanFile:
         data["wavelength"][...] = wavelength_nm
         data["detector_index"][...] = header.detector_index
         data["position"][...] = np.arange(n)
-        data["theta_i_set"][...] = [p.theta_i_deg for p in positions]
-        data["theta_mes_set"][...] = [p.theta_mes_deg for p in positions]
-        one_letter = h5py.string_dtype("utf-8", 1)
-        data["polarization"][...] = np.array([p.polarization for p in positions], dtype=one_letter)
         names = [detector.name for detector in header.rig.detectors]
         text_list(data, "detector_names", names, "detector names, in the order of detector_index")
         self._use_columns(data)
-        write_sweeps(entry, positions)
+        write_positions(entry, positions)
+        write_source(entry, header)
         link_instrument(entry, header.detector_index, names)
         self._describe_references(entry, m)
         events = nexus_group(entry, "events", "NXcollection")
@@ -181,25 +184,40 @@ class ScanFile:
                 },
             )
         self._references.append(record)
-        self._latest[record.kind, record.polarization].append(record)
-        self._reduction = None
+        self._latest.add(record)
+
+    def add_decision(self, record: DecisionRecord) -> None:
+        """Write what a source asked for, before it is measured."""
+        self._refuse_beyond(record.index)
+        with explained(self.path, "written"):
+            write_decision(self._entry["data"], record)
+        if self._decided is not None:
+            self._decided.add(record.index)
+
+    def expects(self, index: int) -> bool:
+        """Say whether it is known what was asked for at a position; else its readings mean nothing."""
+        return self._decided is None or index in self._decided
+
+    def _refuse_beyond(self, index: int) -> None:
+        if index >= self._n:
+            whose = "the plan" if self._header.source is None else "its source"
+            raise StoreError(
+                f"{self.path}: position {index} is not among the {self._n} of {whose}; check its journal"
+            )
 
     def add_positions(self, records: Sequence[PositionRecord]) -> None:
         """Write the rows of positions whose indices follow each other without a gap."""
         first, last = records[0].index, records[-1].index
         if [record.index for record in records] != list(range(first, last + 1)):
             raise ValueError("the positions of a block must be consecutive")
-        if last >= self._n:
-            raise StoreError(
-                f"{self.path}: position {last} is not among the {self._n} of the plan; check its journal"
-            )
+        self._refuse_beyond(last)
         raw = _stacked([record.signal_v for record in records])
         raw_sd = _stacked([record.signal_sd_v for record in records])
         time_s = _stacked([record.time_s for record in records])
         averages = np.stack([np.broadcast_to(record.averages, raw.shape[1:]) for record in records])
         theta_i = np.array([record.theta_i_deg for record in records])
         theta_mes = np.array([record.theta_mes_deg for record in records])
-        reduced = self._provisional().apply(
+        reduced = self._latest.now().apply(
             raw, raw_sd, averages, time_s, [record.polarization for record in records]
         )
         rows = slice(first, last + 1)
@@ -219,13 +237,6 @@ class ScanFile:
                 ("averages", averages),
             ):
                 self._put(name, rows, values)
-
-    def _provisional(self) -> Reduction:
-        """Return the reduction with the references so far, until `finish` the latest of each kind."""
-        if self._reduction is None:
-            latest = [reference for few in self._latest.values() for reference in few]
-            self._reduction = Reduction(latest, self._header.detector_index)
-        return self._reduction
 
     def _put(self, name: str, rows: slice, values: NDArray[Any]) -> None:
         """Write rows of a column by h5py's low level, which takes a tenth of the time of the high one."""
@@ -276,8 +287,8 @@ class ScanFile:
         Returns what the references say of the lamp and the amplifiers, which is among the events then.
         """
         reduction = Reduction(self._references, self._header.detector_index)
-        polarization = np.array([p.polarization for p in self._plan.positions()])
         columns = self._columns
+        polarization = columns["polarization"].asstr()[...]
         with explained(self.path, "finished"):
             for low in range(0, len(polarization), _BLOCK):
                 rows = slice(low, low + _BLOCK)

@@ -43,6 +43,16 @@ class RigFacts:
     detectors: tuple[DetectorFacts, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class SourceFacts:
+    """Which source of positions a scan was begun with, and how many it may ask for at most."""
+
+    name: str
+    version: str
+    text: str  # what it says of itself, or its code
+    max_positions: int
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanHeader:
     """What is known before the first reading; `detector_index` is (m,) uint8 into `rig.detectors`."""
@@ -56,6 +66,7 @@ class ScanHeader:
     start_time: str  # ISO 8601 with offset
     unix_s: float
     wavelength_nm: FloatArray | None = None  # (m,) of the columns; None if they are the plan's, once each
+    source: SourceFacts | None = None  # None if the plan says what is measured
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,6 +85,16 @@ class ReferenceRecord:
     signal_sd_v: FloatArray
     time_s: FloatArray
     quality: NDArray[np.uint16]
+
+
+@dataclass(frozen=True, slots=True)
+class DecisionRecord:
+    """Which position a source has asked for; kept before the axes move there."""
+
+    index: int
+    theta_i_deg: float
+    theta_mes_deg: float
+    polarization: Polarization
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,4 +134,4 @@ class EventRecord:
         object.__setattr__(self, "message", clean)
 
 
-Record = ScanHeader | ReferenceRecord | PositionRecord | EventRecord
+Record = ScanHeader | ReferenceRecord | DecisionRecord | PositionRecord | EventRecord

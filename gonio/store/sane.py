@@ -13,7 +13,16 @@ from typing import Any, get_args
 import numpy as np
 
 from gonio.devices import Polarization
-from gonio.store.records import Level, Record, ReferenceKind, RigFacts, ScanHeader
+from gonio.plan.model import MAX_POSITIONS
+from gonio.store.records import (
+    DecisionRecord,
+    Level,
+    Record,
+    ReferenceKind,
+    RigFacts,
+    ScanHeader,
+    SourceFacts,
+)
 
 _WORDS: dict[str, tuple[str, ...]] = {
     "ReferenceKind": get_args(ReferenceKind),
@@ -41,6 +50,13 @@ def refuse_nonsense(record: Record, header: ScanHeader) -> None:
             raise ValueError(f"{field.name} is {shown}, expected {field.type}")
     if record is header and header.detector_index.max(initial=0) >= len(header.rig.detectors):
         raise ValueError("detector_index names a detector that the rig has not")
+    if isinstance(record, DecisionRecord):
+        if header.source is None:
+            raise ValueError("a decision, but the scan was begun without a source of positions")
+        if not np.all(np.isfinite([record.theta_i_deg, record.theta_mes_deg])):
+            raise ValueError("a decision for no angle")
+        if record.index >= header.source.max_positions:
+            raise ValueError(f"a decision beyond max_positions = {header.source.max_positions}")
 
 
 def _is(kind: str, value: Any, m: int) -> bool:
@@ -65,6 +81,8 @@ def _is(kind: str, value: Any, m: int) -> bool:
             )
         case "RigFacts":
             return isinstance(value, RigFacts) and _is_rig(value, m)
+        case "SourceFacts":
+            return isinstance(value, SourceFacts) and _is_source(value, m)
     return False
 
 
@@ -77,3 +95,9 @@ def _is_rig(rig: RigFacts, m: int) -> bool:
         if field.name != "detectors"
     )
     return right and all(_DETECTOR.fullmatch(detector.name) for detector in rig.detectors)
+
+
+def _is_source(source: SourceFacts, m: int) -> bool:
+    """Say whether there can be such a source; the file has room for all that it may ask for."""
+    texts = all(_is("str", text, m) for text in (source.name, source.version, source.text))
+    return texts and _is("int", source.max_positions, m) and 1 <= source.max_positions <= MAX_POSITIONS
