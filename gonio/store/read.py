@@ -26,6 +26,7 @@ from gonio.store.heaps import endless_heap
 from gonio.store.scan import Scan
 
 _ATTEMPTS = 3
+_ABSURD = 1e30  # whose square is still a number
 _DAMAGE = (
     OSError,
     RuntimeError,
@@ -166,10 +167,20 @@ class _Reader(Checked):
             raise StoreError(f"{self.path}: no position has been measured yet; wait, or resume the scan")
 
         def per_position(name: str, kind: str = "f") -> NDArray[Any]:
-            return self.numbers(f"entry/data/{name}", 1, kind, (n,))[measured]
+            values = self.numbers(f"entry/data/{name}", 1, kind, (n,))[measured]
+            if name.startswith("theta") and not np.all(np.abs(values) <= 360.0):
+                raise self.foreign(
+                    f"/entry/data/{name} holds angles beyond 360 deg, or none, of positions measured"
+                )
+            return values
 
         def table(name: str, kind: str = "f") -> NDArray[Any]:
-            return self.numbers(f"entry/data/{name}", 2, kind, (n, m), measured)
+            values = self.numbers(f"entry/data/{name}", 2, kind, (n, m), measured)
+            if kind == "f" and np.any(np.abs(values) > _ABSURD):
+                raise self.foreign(f"/entry/data/{name} holds numbers that nothing measures")
+            if name.endswith(("errors", "uncertainty")) and np.any(values < 0.0):
+                raise self.foreign(f"/entry/data/{name} holds negative uncertainties")
+            return values
 
         polarization = np.char.decode(
             self.numbers("entry/data/polarization", 1, "S", (n,))[measured], "utf-8"
@@ -183,7 +194,7 @@ class _Reader(Checked):
             wavelength_nm=wavelength_nm,
             detector_index=detector_index,
             detector_names=names,
-            theta_i_deg=theta_i[measured],
+            theta_i_deg=per_position("theta_i"),
             theta_mes_deg=per_position("theta_mes"),
             theta_o_deg=per_position("theta_o"),
             polarization=polarization,
