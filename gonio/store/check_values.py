@@ -78,7 +78,8 @@ def _check_positions(found: Findings, n: int) -> NDArray[np.bool_]:
     position = found.parts.numbers("entry/data/position", 1, "i", (n,))
     note("position", position != np.arange(n), "is not the number of its row")
     polarization = found.parts.numbers("entry/data/polarization", 1, "S", (n,))
-    note("polarization", ~np.isin(polarization, (b"s", b"p")), "is neither s nor p")
+    asked_for = measured | ("source" not in found.parts.group("entry")) | np.isfinite(column["theta_i_set"])
+    note("polarization", asked_for & ~np.isin(polarization, (b"s", b"p")), "is neither s nor p")
     times = column["time"][measured]
     wrong = np.zeros(n, dtype=np.bool_)
     wrong[np.flatnonzero(measured)[1:]] = np.diff(times) <= 0
@@ -140,7 +141,7 @@ def _check_plan(found: Findings, n: int, measured: NDArray[np.bool_], *, finishe
     except ConfigError as error:
         found.add("entry/plan", f"cannot be read ({error})", _ONLY_BY_HAND)
         return
-    if plan.n_positions != n:
+    if "source" not in parts.group("entry") and plan.n_positions != n:  # else a source chose them
         found.add("entry/data", f"has {n} positions, the plan {plan.n_positions}", _ONLY_BY_HAND)
         return
     if finished and not np.all(measured):

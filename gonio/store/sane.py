@@ -12,7 +12,9 @@ from typing import Any, get_args
 
 import numpy as np
 
+from gonio.aperture import Aperture
 from gonio.devices import Polarization
+from gonio.errors import ConfigError
 from gonio.plan.model import MAX_POSITIONS
 from gonio.store.records import (
     DecisionRecord,
@@ -48,6 +50,11 @@ def refuse_nonsense(record: Record, header: ScanHeader) -> None:
         if not any(_is(kind, value, m) for kind in kinds):
             shown = f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else f"{value!r:.60}"
             raise ValueError(f"{field.name} is {shown}, expected {field.type}")
+    if record is header:
+        try:
+            Aperture(header.rig.width_mm, header.rig.height_mm, header.rig.distance_mm)
+        except ConfigError as error:
+            raise ValueError(str(error)) from None
     if record is header and header.detector_index.max(initial=0) >= len(header.rig.detectors):
         raise ValueError("detector_index names a detector that the rig has not")
     if isinstance(record, DecisionRecord):
