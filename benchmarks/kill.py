@@ -137,6 +137,8 @@ def after_a_life(
     if status == -signal.SIGKILL:
         tally.kills += 1
         tally.phases[phase] += 1
+        if tally.kills % 50 == 0:
+            print(f"{tally.kills} kills, {tally.bad} bad", file=sys.stderr, flush=True)
         if path.exists() and not journal_path(path).exists():  # killed after its last step
             examiner.finished(path)
             path.unlink()
