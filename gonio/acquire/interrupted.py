@@ -10,6 +10,7 @@ from gonio.acquire.runner import OnSnapshot, Runner
 from gonio.acquire.session import OnRecord
 from gonio.errors import StoreError
 from gonio.plan.model import parse_plan
+from gonio.plan.source import PositionSource
 from gonio.rig import Rig, RigConfig, parse_rig
 from gonio.store.records import ScanHeader
 
@@ -21,8 +22,12 @@ def resume_scan(
     on_snapshot: OnSnapshot | None = None,
     on_record: OnRecord | None = None,
     policy: FaultPolicy | None = None,
+    source: PositionSource | None = None,
+    ask_again: bool = True,
 ) -> Runner:
     """Return a runner that goes on with an interrupted scan, however it was interrupted; call its `run`.
+
+    A scan whose positions a source chose goes on with that `source`; see `Runner` for `ask_again`.
 
     Raises
     ------
@@ -33,8 +38,9 @@ def resume_scan(
     header = _interrupted(path)
     plan = parse_plan(header.plan_text, source=f"the plan in {journal_path(path).name}")
     return Runner(
-        rig, plan, path, on_snapshot=on_snapshot, on_record=on_record, continues=True, policy=policy
-    )
+        rig, plan, path, on_snapshot=on_snapshot, on_record=on_record, continues=True, policy=policy,
+        source=source, ask_again=ask_again,
+    )  # fmt: skip
 
 
 def stored_rig(path: str | Path) -> RigConfig:

@@ -53,3 +53,8 @@ class FaultPolicy:
     def wait_s(self, attempt: int) -> float:
         """Return the real seconds to wait before a further attempt, counted from 1."""
         return float(min(self.first_wait_s * 2.0 ** (attempt - 1), LONGEST_WAIT_S))
+
+
+def attempts(count: int) -> str:
+    """Return a number of failed attempts in words."""
+    return "a failed attempt" if count == 1 else f"{count} failed attempts"

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import datetime
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
+import gonio
 from gonio.acquire.room import RESERVE_BYTES, must_have_room
-from gonio.acquire.session import refuse_existing
+from gonio.acquire.session import facts_of, refuse_existing
+from gonio.acquire.sourcing import Asked
 from gonio.acquire.steps import Step, steps_of
 from gonio.aperture import Aperture
 from gonio.errors import RefusedError
 from gonio.plan.channels import Channels, channels
 from gonio.plan.check import check
-from gonio.plan.model import Plan
-from gonio.rig import Rig
+from gonio.plan.model import Plan, Position
+from gonio.plan.timetable import timetable
+from gonio.rig import Rig, RigConfig
+from gonio.store.records import ScanHeader
 
 BYTES_PER_READING = 300  # journal and .h5 together, and a rebuilt .h5 beside the old one
 _SHOWN_REFUSALS = 10
@@ -21,20 +27,24 @@ _SHOWN_REFUSALS = 10
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """A plan that this rig can measure now: its columns and steps, and what its devices say they are."""
+    """A plan that this rig can measure now: its columns and steps, and what its devices say they are.
+
+    Where a source decides there are no steps yet, and `first` is the position that it begins with.
+    """
 
     columns: Channels
     steps: list[Step]
     devices: dict[str, str]
+    first: Position | None
 
 
-def prepared(rig: Rig, plan: Plan, path: Path, *, continues: bool) -> Prepared:
+def prepared(rig: Rig, plan: Plan, path: Path, *, continues: bool, source: Asked | None) -> Prepared:
     """Check plan against rig, target file, disk space, and that each device answers.
 
     Raises
     ------
     RefusedError
-        The rig must not or cannot measure the plan.
+        The rig must not or cannot measure the plan, or the first position of the source.
     StoreError
         The file is in the way, or the disk too full.
     DeviceError
@@ -51,10 +61,46 @@ def prepared(rig: Rig, plan: Plan, path: Path, *, continues: bool) -> Prepared:
     if not continues:
         refuse_existing(path)
     columns = channels(plan, config)
-    steps = steps_of(plan, config)
-    _must_fit(path, len(steps) * len(columns))
+    steps: list[Step] = []
+    first = None
+    if source is None:
+        steps = steps_of(plan, config)
+        _must_fit(path, len(steps) * len(columns))
+    else:
+        if not continues:
+            first = source.decide([], [])
+        _must_fit(path, _most_steps(source, plan, config) * len(columns))
     answers = {"stage": rig.stage.identify(), "polarizer": rig.polarizer.identify()}
-    return Prepared(columns, steps, answers | dict(rig.spectrometer.identify()))
+    return Prepared(columns, steps, answers | dict(rig.spectrometer.identify()), first)
+
+
+def header_of(rig: Rig, plan: Plan, ready: Prepared, source: Asked | None) -> ScanHeader:
+    """Return what is known of a scan that begins now."""
+    return ScanHeader(
+        plan_text=plan.to_toml(),
+        rig_text=rig.config.text,
+        rig=facts_of(rig.config),
+        detector_index=ready.columns.detector_index,
+        devices=ready.devices,
+        program=f"gonio {gonio.__version__}",
+        start_time=now_iso(),
+        unix_s=time.time(),
+        wavelength_nm=ready.columns.wavelength_nm,
+        source=None if source is None else source.facts,
+    )
+
+
+def now_iso() -> str:
+    """Return the time of day with its offset."""
+    return datetime.datetime.now().astimezone().isoformat(timespec="seconds")
+
+
+def _most_steps(source: Asked, plan: Plan, config: RigConfig) -> int:
+    """Return how many steps a source can make; with references by the minute, at most one set each."""
+    references = plan.references
+    ends = len(timetable(plan.model_copy(update={"sweeps": (), "positions_listed": ()}), config).steps)
+    between = source.max_positions // (references.every_positions or 1) if references.periodic_kinds else 0
+    return source.max_positions + ends + between * (1 + len(plan.polarization))
 
 
 def _must_fit(path: Path, readings: int) -> None:

@@ -7,8 +7,9 @@
 until then; 2. create the journal and the `.h5` (`gonio.acquire.session`); 3. starting references in the
 baseline position (dark once, direct beam per polarization); 4. the positions, with references between them as
 planned; each is recorded whole, with its angles read back, or not at all (`gonio.acquire.measuring`); the
-motion of the next begins before the record of the last is on the disk; 5. ending references, correction of
-all positions with them, removal of the journal.
+motion of the next begins before the record of the last is on the disk, unless a source has to see that
+record first (`gonio.acquire.agenda`); 5. ending references, correction of all positions with them, removal
+of the journal.
 
 When a device fails, the step is measured anew after the rig has recovered, as often as the policy allows
 (`gonio.acquire.policy.FaultPolicy`); then the scan pauses, skips the position or ends.
@@ -20,8 +21,6 @@ drift whether or not we measure; on a simulated bench, whose clock begins anew, 
 
 from __future__ import annotations
 
-import datetime
-import itertools
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -29,20 +28,23 @@ from pathlib import Path
 
 import numpy as np
 
-import gonio
+from gonio.acquire.agenda import Agenda
 from gonio.acquire.measuring import Measurer, rest
-from gonio.acquire.policy import FaultPolicy
-from gonio.acquire.preparing import Prepared, prepared
-from gonio.acquire.session import OnRecord, Session, facts_of
+from gonio.acquire.opening import agenda_of, begun, taken_up
+from gonio.acquire.policy import FaultPolicy, attempts
+from gonio.acquire.preparing import Prepared, now_iso, prepared
+from gonio.acquire.session import OnRecord, Session
+from gonio.acquire.sourcing import Asked, asked
 from gonio.acquire.state import Snapshot, State
-from gonio.acquire.steps import Pace, PositionStep, ReferenceStep, Step, describe
-from gonio.acquire.watchdog import Watchdog
+from gonio.acquire.steps import PositionStep, ReferenceStep, Step, describe
+from gonio.acquire.watchdog import Watchdog, silence
 from gonio.devices import Quality
 from gonio.errors import DeviceError, GonioError, RefusedError, ScanStopped, StoreError
 from gonio.plan.model import Plan
 from gonio.plan.optimise import resolved
+from gonio.plan.source import PositionSource
 from gonio.rig import Rig
-from gonio.store.records import EventRecord, Level, PositionRecord, ReferenceRecord, ScanHeader
+from gonio.store.records import DecisionRecord, EventRecord, Level, PositionRecord, ReferenceRecord
 
 _SNAPSHOT_INTERVAL_S = 0.05  # real seconds between snapshots of readings: 20 Hz is what an eye can follow
 _PAUSE_POLL_S = 0.02
@@ -64,7 +66,7 @@ class Runner:
         Connected devices; the runner stops them and closes the shutter at every end of a run, but does
         not disconnect.
     plan
-        What to measure.
+        What to measure; with a source, all but the positions.
     path
         The `.h5` to write; it must not exist, unless the runner `continues` a scan (see `resume_scan`).
     on_snapshot
@@ -75,6 +77,12 @@ class Runner:
         a scan goes on, with those measured before first.  The same holds for its exceptions.
     policy
         What is done when a device fails.
+    source
+        Chooses each position from what was measured; without one the plan says what is measured, or names the
+        source.
+    ask_again
+        When a scan goes on, ask the source for the positions that were measured and refuse it if it gives
+        others.  False for one that cannot answer the same any more.
     """
 
     def __init__(
@@ -87,12 +95,16 @@ class Runner:
         on_record: OnRecord | None = None,
         continues: bool = False,
         policy: FaultPolicy | None = None,
+        source: PositionSource | None = None,
+        ask_again: bool = True,
     ) -> None:
         self.path = Path(path)
         self.plan = resolved(plan, rig.config)
         self.policy = policy or FaultPolicy()
         self._wavelength_nm = plan.wavelength_nm  # the rig's columns once they are known to be covered
-        self._n_positions = plan.n_positions
+        self._given_source = source
+        self._source: Asked | None = None
+        self._ask_again = ask_again
         self._rig = rig
         self._on_snapshot = on_snapshot
         self._on_record = on_record
@@ -104,8 +116,7 @@ class Runner:
         self._pause_at_once = False
         self._session: Session | None = None
         self._measurer: Measurer | None = None
-        self._steps: list[Step] = []
-        self._pace: Pace | None = None
+        self._agenda: Agenda | None = None
         self._step: Step | None = None
         self._reading = 0
         self._done = 0
@@ -167,16 +178,18 @@ class Runner:
             step.polarization if isinstance(step, ReferenceStep) else at.polarization if at else None
         )
         now_s = self._now_s() if self._active else (self._session.last_time_s if self._session else 0.0)
-        left_s = self._pace.left_s(now_s, step, self._reading / m) if self._pace and self._active else 0.0
+        agenda, given = self._agenda, self._given_source
+        left_s = agenda.pace.left_s(now_s, step, self._reading / m) if agenda and self._active else 0.0
+        n_positions = self.plan.n_positions if given is None else given.max_positions
         column = min(self._reading, m - 1)
         if step is not None and step.descending:
             column = m - 1 - column
         return Snapshot(
             state=self._state,
             done=self._done,
-            total=self._n_positions,
+            total=agenda.n_positions if agenda else n_positions,
             readings_done=self._steps_done * m + self._reading,
-            readings_total=len(self._steps) * m,
+            readings_total=agenda.n_steps * m if agenda else 0,
             elapsed_s=now_s,
             left_s=left_s,
             position=at.index if at else None,
@@ -210,8 +223,8 @@ class Runner:
         self._stop_requested = self._pause_requested = self._pause_at_once = False
         try:
             self._set(State.PREPARING, "checking plan and devices")
-            ready = prepared(self._rig, self.plan, self.path, continues=self._continues)
-            self._steps = ready.steps
+            self._source = asked(self._given_source, self.plan, self._rig.config)
+            ready = prepared(self._rig, self.plan, self.path, continues=self._continues, source=self._source)
             self._wavelength_nm = ready.columns.wavelength_nm
             self._open_session(ready)
             self._set(State.RUNNING, "")
@@ -220,7 +233,7 @@ class Runner:
             self._rig.spectrometer.close_shutter()
             self._step = None
             self._message = "correcting with all references"
-            self._open.finish(_now_iso())
+            self._open.finish(now_iso())
             self._active = False
             self._set(State.DONE, f"{self.path} is complete")
         except BaseException as error:
@@ -234,58 +247,52 @@ class Runner:
         return self.path
 
     def _open_session(self, ready: Prepared) -> None:
-        columns = ready.columns
         self._measurer = Measurer(
-            self._rig, self.plan, columns, check=self._raise_if_interrupted, on_reading=self._on_reading
+            self._rig, self.plan, ready.columns, check=self._raise_if_interrupted, on_reading=self._on_reading
         )
-        facts = facts_of(self._rig.config)
-        clock = self._rig.clock
+        rig, source, tell = self._rig, self._source, self._on_record
         if self._continues:
-            self._session, note = Session.resume(self.path, facts, self._on_record)
-            away_s = max(time.time() - self._session.last_unix_s, 0.0)
-            gap_s = away_s if clock.speed == 1.0 else 0.0
-            self._measurer.offset_s = self._session.last_time_s + gap_s - clock.now_s()
-            if note:
-                self._event("warning", note)
-            self._event("info", f"resumed {away_s:.0f} s after the last record")
+            opened = taken_up(rig, self.path, source, tell, ask_again=self._ask_again)
         else:
-            header = ScanHeader(
-                plan_text=self.plan.to_toml(),
-                rig_text=self._rig.config.text,
-                rig=facts,
-                detector_index=columns.detector_index,
-                devices=ready.devices,
-                program=f"gonio {gonio.__version__}",
-                start_time=_now_iso(),
-                unix_s=time.time(),
-                wavelength_nm=columns.wavelength_nm,
-            )
-            self._measurer.offset_s = -clock.now_s()
-            self._session = Session.begin(self.path, header, self.plan, self._on_record)
+            opened = begun(rig, self.plan, self.path, ready, source, tell)
+        self._session = session = opened.session
+        self._measurer.offset_s = opened.offset_s
+        for level, note in opened.notes:
+            self._event(level, note)
         self._continues = True  # should this run end early, the next one goes on from here
-        left = [step for step in self._steps if step.key not in self._session.done]
-        self._steps_done = len(self._steps) - len(left)
-        self._done = sum(isinstance(key, int) for key in self._session.done)
-        self._pace = Pace(left, self._now_s())
+        self._agenda = agenda_of(rig, self.plan, ready, source, session, self._now_s(), self._keep)
+        self._steps_done = self._agenda.n_done
+        self._done = sum(isinstance(key, int) for key in session.done)
 
     def _perform_all(self) -> None:
-        left = [step for step in self._steps if step.key not in self._open.done]
-        for step, following in itertools.zip_longest(left, left[1:]):
+        assert self._agenda is not None
+        while (step := self._next_step(self._agenda)) is not None:
             if self._pause_requested:
                 self._wait_for_resume("paused by the operator", "info")
             self._raise_if_stopped()
             record = self._perform(step)
+            following = self._agenda.following
             if following is not None and not self._pause_requested and not self._stop_requested:
                 self._devices.begin(following)  # the motors run while the disk works
             self._keep(record)
             self._done += isinstance(step, PositionStep)
             self._steps_done += 1
             self._step, self._reading = None, 0
-            if self._pace is not None:
-                self._pace.step_done(step)
+            self._agenda.pace.step_done(step)
             self._publish()
 
-    def _keep(self, record: PositionRecord | ReferenceRecord) -> None:
+    def _next_step(self, agenda: Agenda) -> Step | None:
+        """Return what is to be done now; a source that cannot be followed pauses the scan, or ends it."""
+        while True:
+            try:
+                return agenda.next()
+            except RefusedError as error:
+                if self.policy.then != "pause":
+                    raise
+                self._pause_requested = True
+                self._wait_for_resume(str(error), "error")
+
+    def _keep(self, record: DecisionRecord | PositionRecord | ReferenceRecord) -> None:
         """Put a record on the disk; a disk that is full or gone is waited for, if the policy is to pause."""
         while True:
             try:
@@ -324,7 +331,7 @@ class Runner:
             else:
                 if failed:
                     record.quality[:] |= np.uint16(Quality.RETRIED)
-                    self._event("info", f"{describe(step)}: measured after {_times(failed)}")
+                    self._event("info", f"{describe(step)}: measured after {attempts(failed)}")
                 self._skipped_in_a_row = 0
                 return record
 
@@ -364,7 +371,7 @@ class Runner:
             if done:
                 self._event("info", f"recovered: {'; '.join(done)}")
             if skips:
-                self._event("warning", f"{describe(step)}: skipped after {_times(faults)}")
+                self._event("warning", f"{describe(step)}: skipped after {attempts(faults)}")
                 return -1
             return faults
 
@@ -381,8 +388,8 @@ class Runner:
         while self._pause_requested and not self._stop_requested:
             time.sleep(_PAUSE_POLL_S)
         self._raise_if_stopped()
-        if self._pace is not None:
-            self._pace.paused(self._now_s() - began_s)
+        if self._agenda is not None:
+            self._agenda.pace.paused(self._now_s() - began_s)
         self._event("info", "resumed by the operator")
         self._set(State.RUNNING, "")
 
@@ -414,12 +421,8 @@ class Runner:
 
     def _gave_no_sign(self, silent_s: float) -> None:
         """Stop everything, so that whatever hangs may come back with an error; the watchdog's thread."""
-        if self._state is State.RUNNING:
-            self._silent = DeviceError(
-                "the rig",
-                f"gave no sign of life for {silent_s:.0f} s ({self._message})",
-                "look which device hangs; switch it off and on",
-            )
+        if self._state is State.RUNNING and self._step is not None:  # a source may think as long as it likes
+            self._silent = silence(silent_s, self._message)
             self._message = str(self._silent)
             with suppress(GonioError, OSError):
                 self._rig.stop()
@@ -494,11 +497,3 @@ class Runner:
         self._published_s = time.monotonic()
         if self._on_snapshot is not None:
             self._on_snapshot(self.snapshot())
-
-
-def _times(count: int) -> str:
-    return "a failed attempt" if count == 1 else f"{count} failed attempts"
-
-
-def _now_iso() -> str:
-    return datetime.datetime.now().astimezone().isoformat(timespec="seconds")

@@ -10,6 +10,8 @@ import threading
 import time
 from collections.abc import Callable
 
+from gonio.errors import DeviceError
+
 
 class Watchdog:
     """Barks when nobody has fed it for too long; a context manager.
@@ -51,3 +53,12 @@ class Watchdog:
             if silent_s >= self._limit_s:
                 self._bark(silent_s)
                 self.feed()
+
+
+def silence(silent_s: float, doing: str) -> DeviceError:
+    """Return what a silence is told as, `doing` being what the scan was at."""
+    return DeviceError(
+        "the rig",
+        f"gave no sign of life for {silent_s:.0f} s ({doing})",
+        "look which device hangs; switch it off and on",
+    )

@@ -7,7 +7,7 @@ does not look.  How a scan keeps a source's decisions: docs/decisions/position-s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -79,6 +79,43 @@ class PlanSource:
         return self.positions[len(measured)] if len(measured) < len(self.positions) else None
 
 
+@dataclass(frozen=True, slots=True)
+class UntilSource:
+    """The positions of a plan in their order, until what was measured is enough.
+
+    Attributes
+    ----------
+    enough
+        Called with all that was measured after each position; true ends the scan.  It must depend on nothing
+        else.
+    """
+
+    positions: tuple[Position, ...]
+    enough: Callable[[Sequence[Measured]], bool]
+
+    @classmethod
+    def of(cls, plan: Plan, enough: Callable[[Sequence[Measured]], bool]) -> UntilSource:
+        """Return the source of a plan's positions."""
+        return cls(plan.positions(), enough)
+
+    @property
+    def max_positions(self) -> int:
+        """Number of the plan's positions."""
+        return len(self.positions)
+
+    @property
+    def text(self) -> str:
+        """What the scan file says of it."""
+        criterion = getattr(self.enough, "__qualname__", type(self.enough).__qualname__)
+        return f"{len(self.positions)} positions in the order of the plan, until {criterion}"
+
+    def next(self, measured: Sequence[Measured]) -> Position | None:
+        """Return the position behind those measured; None if there is none, or enough is known."""
+        if len(measured) >= len(self.positions) or (measured and self.enough(measured)):
+            return None
+        return self.positions[len(measured)]
+
+
 def decide(
     source: PositionSource,
     rig: RigConfig,
@@ -124,8 +161,17 @@ def decide(
     return position, True
 
 
-def check_same(source: PositionSource, measured: Sequence[Measured]) -> None:
+def check_same(
+    source: PositionSource, measured: Sequence[Measured], pending: Sequence[Position] = ()
+) -> None:
     """Make sure that a source decides as it did when the scan was begun.
+
+    Parameters
+    ----------
+    measured
+        What was measured, in order.
+    pending
+        What was decided behind that; only the first depends on nothing else than `measured`.
 
     Raises
     ------
@@ -133,13 +179,14 @@ def check_same(source: PositionSource, measured: Sequence[Measured]) -> None:
         It gives another position for the same readings: it is another source, another version of it, or
         depends on something else.
     """
-    for index, found in enumerate(measured):
+    decided = [*((found.position, "measured") for found in measured), *((p, "decided") for p in pending[:1])]
+    for index, (position, what) in enumerate(decided):
         again = source.next(measured[:index])
-        if again != found.position:
+        if again != position:
             shown = "no position" if again is None else _shown(again)
             raise StoreError(
-                f"the source of positions gives {shown} for position {index + 1}, which was measured at "
-                f"{_shown(found.position)}; resume the scan with the source and version that began it"
+                f"the source of positions gives {shown} for position {index + 1}, which was {what} at "
+                f"{_shown(position)}; resume the scan with the source and version that began it"
             )
 
 

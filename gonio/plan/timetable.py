@@ -135,10 +135,11 @@ class Course:
 
     def to(self, position: Position) -> list[PlannedStep]:
         """Return the references that are due before a position, and the position."""
-        model, steps = self._model, []
+        model = self._model
+        steps: list[PlannedStep] = []
         if self._since and self._kinds and self._due(position):
-            for task in _periodic(self._plan, self._kinds, position, model.polarization):
-                steps.append(model.step(task))
+            due = _periodic(self._plan, self._kinds, position, model.polarization)
+            steps.extend(model.step(task) for task in due)
             self._since_s, self._since = 0.0, 0
         step = model.step(position)
         self._since_s += model.seconds(step)
