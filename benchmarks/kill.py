@@ -15,6 +15,7 @@ well, as by a power cut: journal and `.h5` together.
 
 lost       a position that was in the journal is not any more, or is missing in a finished file
 doubled    a position or reference is in a finished file twice
+half       of the rows read, those of which only a part had been flushed: the rest is NaN (no fault)
 wrong      a row with other angles, another polarization or another r than the truth; a time that goes back
 no open    a killed scan's `.h5` that plain h5py does not open (torn ones aside)
 stuck      a life without a kill that does not end with a finished file
@@ -254,8 +255,9 @@ def wire_bench(folder: Path) -> Iterator[Truth]:
 
 def show(name: str, tally: Tally, seconds: float) -> None:
     print(
-        f"{name:<9}{tally.kills:>6}{tally.power_cuts:>7}{tally.scans:>7}{tally.positions:>11}{tally.rows:>9}"
-        f"{tally.lost:>7}{tally.doubled:>9}{tally.wrong:>7}{tally.unopened:>9}{tally.not_resumed:>7}{seconds:>9.0f}"
+        f"{name:<9}{tally.kills:>6}{tally.power_cuts:>7}{tally.scans:>7}{tally.positions:>11}{tally.rows:>9}{tally.half:>6}"
+        f"{tally.lost:>7}{tally.doubled:>9}{tally.wrong:>7}{tally.unopened:>8}{tally.not_resumed:>6}{seconds:>9.0f}",
+        flush=True,
     )
 
 
@@ -293,6 +295,7 @@ def main() -> int:
             began_s = time.monotonic()
             tally = killed_in_memory(memory_folder, options.memory, rng)
             tallies["memory"] = tally, time.monotonic() - began_s
+            show("memory", *tallies["memory"])
         if options.wire or options.program:
             plan = parse_plan(PLAN)
             (wire_folder / "plan.toml").write_text(PLAN, encoding="utf-8")
@@ -307,13 +310,14 @@ def main() -> int:
                     finally:
                         nursery.close()
                     tallies["wire"] = tally, time.monotonic() - began_s
+                    show("wire", *tallies["wire"])
                 if options.program:
                     began_s = time.monotonic()
                     tally = Tally()
                     programs(wire_folder, Examiner(plan, truth, tally), options.program, rng)
                     tallies["program"] = tally, time.monotonic() - began_s
     print(
-        "lives     kills power  scans  positions     rows   lost  doubled  wrong  no open  stuck  seconds\n"
+        "\nlives     kills power  scans  positions     rows  half   lost  doubled  wrong no open stuck  seconds\n"
         "                 cuts  ended   in them     read"
     )
     for name, (tally, seconds) in tallies.items():

@@ -36,6 +36,7 @@ class Tally:
     positions: int = 0  # in them
     looked_at: int = 0  # .h5 files of killed scans
     rows: int = 0  # of positions in those
+    half: int = 0  # of the rows: in the middle of their flush; what is not written yet is NaN
     lost: int = 0
     doubled: int = 0
     wrong: int = 0
@@ -99,8 +100,15 @@ class Examiner:
         if not set(rows) <= safe:
             tally.wrong += 1
             tally.complain(f"rows {sorted(set(rows) - safe)} of the .h5 are not in the journal")
+        half = 0
         for row in rows:
-            self._row(row, {name: values[row] if name in ROWS else values for name, values in data.items()})
+            half += self._row(
+                row, {name: values[row] if name in ROWS else values for name, values in data.items()}
+            )
+        tally.half += half
+        if half > 1:
+            tally.wrong += 1
+            tally.complain(f"{half} rows of one file are half written")
         return safe
 
     def tear(self, path: Path, rng: random.Random) -> None:
@@ -131,7 +139,7 @@ class Examiner:
         keys = Counter(zip(kinds, when, polarization, strict=True))
         tally.doubled += sum(keys.values()) - len(keys)
         for row, i in enumerate(index):
-            self._row(
+            half = self._row(
                 i,
                 {
                     "theta_i": scan.theta_i_deg[row],
@@ -142,9 +150,15 @@ class Examiner:
                     "quality": scan.quality[row],
                 },
             )
+            if half:
+                tally.wrong += 1
+                tally.complain(f"position {i} of a finished file is half written")
 
-    def _row(self, index: int, row: dict[str, Any]) -> None:
+    def _row(self, index: int, row: dict[str, Any]) -> bool:
+        """Compare a row; say whether it is half written: the process died in the flush of that very row."""
         at, tally = self.plan.positions()[index], self.tally
+        if not np.isfinite(row["theta_mes"]):
+            return True
         there = (float(row["theta_i"]), float(row["theta_mes"]))
         off = max(
             abs(there[0] - at.theta_i_deg - self.offset_deg[0]),
@@ -153,14 +167,16 @@ class Examiner:
         if off > self.angle_deg or row["polarization"].decode() != at.polarization:
             tally.wrong += 1
             tally.complain(f"position {index} stands under {there}, {row['polarization']!r} instead of {at}")
-            return
+            return False
         usable = (row["quality"] & NOT_USABLE) == 0
         tally.flagged += int(np.count_nonzero(~usable))
         truth = self.truth(at, *there, row["wavelength"])
-        bad = usable & ~(np.abs(row["r"] - truth) <= self.relative * truth + self.absolute)
+        half = bool(np.all(np.isnan(row["r"])) and np.any(usable))
+        bad = usable & ~(np.abs(row["r"] - truth) <= self.relative * truth + self.absolute) & (not half)
         if np.any(bad):
             tally.wrong += 1
             tally.complain(f"position {index}: r = {row['r'][bad]} instead of {truth[bad]}")
+        return half
 
 
 ROWS = ("theta_i", "theta_mes", "polarization", "r", "quality")
