@@ -317,7 +317,8 @@ def main() -> int:
                     programs(wire_folder, Examiner(plan, truth, tally), options.program, rng)
                     tallies["program"] = tally, time.monotonic() - began_s
     print(
-        "\nlives     kills power  scans  positions     rows  half   lost  doubled  wrong no open stuck  seconds\n"
+        "\nlives     kills power  scans  positions     rows  half   lost  doubled  wrong no open stuck"
+        "  seconds\n"
         "                 cuts  ended   in them     read"
     )
     for name, (tally, seconds) in tallies.items():
