@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,42 @@ def test_coarse_then_fine(tmp_path: Path) -> None:
     assert fine.theta_mes_deg.min() == pytest.approx(81.0, abs=0.02)
     assert fine.theta_mes_deg.max() == pytest.approx(99.0, abs=0.02)
     assert np.all(np.isfinite(fine.r))
+
+
+def test_a_source_refines_around_the_lobe_and_goes_on_where_it_was_killed(tmp_path: Path) -> None:
+    out = run("refine_the_lobe.py", "-", "panel", cwd=tmp_path)
+    scan = gonio.load(tmp_path / "panel.h5")
+    assert f"{scan.n_planned} positions of at most 37" in out
+    coarse, fine = np.sort(scan.theta_mes_deg[:13]), scan.theta_mes_deg[13:]
+    np.testing.assert_allclose(np.diff(coarse), 9.0, atol=0.05)
+    assert 6 <= len(fine) < 24
+    assert np.all(np.abs(fine - 90.0) < 30.0), "r is steep about the specular direction only"
+    peak = scan.theta_mes_deg[np.argmax(scan.r[:, 0])]
+    assert peak == pytest.approx(90.0, abs=3.1)
+
+    (tmp_path / "again").mkdir()
+    with subprocess.Popen(
+        [sys.executable, str(EXAMPLES / "refine_the_lobe.py"), "-", "panel"], cwd=tmp_path / "again"
+    ) as process:
+        journal = tmp_path / "again" / "panel.h5.journal"
+        while process.poll() is None and not (
+            journal.exists() and b'"decision", "index": 15' in read(journal)
+        ):
+            time.sleep(0.002)
+        process.kill()
+    assert journal.exists(), "it was over before it was killed"
+    run("refine_the_lobe.py", "-", "panel", cwd=tmp_path / "again")
+    again = gonio.load(tmp_path / "again" / "panel.h5")
+    assert again.finished
+    np.testing.assert_allclose(again.theta_mes_deg[:13], scan.theta_mes_deg[:13], atol=0.05)
+    assert 6 <= len(again.position) - 13 < 24
+
+
+def read(journal: Path) -> bytes:
+    try:
+        return journal.read_bytes()
+    except FileNotFoundError:  # it has just ended
+        return b""
 
 
 def test_bluesky_session(tmp_path: Path) -> None:
