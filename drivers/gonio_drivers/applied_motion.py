@@ -16,12 +16,11 @@ from pydantic import Field, model_validator
 from gonio.config import Count, Positive
 from gonio.errors import DeviceError, MotionError, ReplyError
 from gonio.rig import SIMULATED, Context, Driver, StageConfig
-from gonio_drivers.axis import MotorAxis
 from gonio_drivers.drive import DriveState, MotorConfig
-from gonio_drivers.lines import connecting
 from gonio_drivers.modbus import Framing, ModbusLine, WordOrder, open_modbus
 from gonio_drivers.stage import MotorStage
 from gonio_drivers.transport import Parity
+from gonio_drivers.two_axes import open_two_axes
 
 ALARM, STATUS, ENCODER, POSITION = 0x00, 0x01, 0x04, 0x06
 ACCELERATION, DECELERATION, VELOCITY, TARGET = 0x1B, 0x1C, 0x1D, 0x1E
@@ -310,19 +309,11 @@ def open_stage(config: AppliedMotionStageConfig, context: Context) -> MotorStage
         baudrate=config.baudrate,
         parity=config.parity,
     )
-    with connecting(line.line):
-        drives = {
-            name: AppliedMotionDrive(line, name, table, referenced=not config.home_on_connect)
-            for name, table in (("theta_i", config.theta_i), ("theta_mes", config.theta_mes))
-        }
-        stage = MotorStage(
-            MotorAxis("theta_i", config.theta_i, drives["theta_i"], context),
-            MotorAxis("theta_mes", config.theta_mes, drives["theta_mes"], context),
-            line=line,
-            descriptions={name: drive.describe() for name, drive in drives.items()},
-        )
-        stage.home_where_needed()
-    return stage
+
+    def make(name: str, table: AppliedMotionAxisConfig) -> AppliedMotionDrive:
+        return AppliedMotionDrive(line, name, table, referenced=not config.home_on_connect)
+
+    return open_two_axes(config, context, line.line, make, shared=line)
 
 
 driver = Driver("stage", AppliedMotionStageConfig, open_stage)

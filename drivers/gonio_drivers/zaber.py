@@ -13,11 +13,11 @@ from pydantic import Field
 from gonio.config import Count, Number, Positive
 from gonio.errors import DeviceError, ReplyError
 from gonio.rig import Context, Driver, StageConfig
-from gonio_drivers.axis import MotorAxis
 from gonio_drivers.decimals import fixed
 from gonio_drivers.drive import DriveState, MotorConfig
-from gonio_drivers.lines import connecting, open_line
+from gonio_drivers.lines import open_line
 from gonio_drivers.stage import MotorStage
+from gonio_drivers.two_axes import open_two_axes
 from gonio_drivers.zaber_flags import fault_of, is_referenced
 from gonio_drivers.zaber_protocol import ZaberLine
 
@@ -257,21 +257,13 @@ def open_stage(config: ZaberStageConfig, context: Context) -> MotorStage:
         open_line("stage", config.address, context, protocol="zaber", baudrate=config.baudrate),
         checksums=config.checksums,
     )
-    with connecting(line.line):
-        drives = {
-            name: ZaberDrive(line, name, table)
-            for name, table in (("theta_i", config.theta_i), ("theta_mes", config.theta_mes))
-        }
-        for drive in drives.values():
-            drive.check_travel()
-        stage = MotorStage(
-            MotorAxis("theta_i", config.theta_i, drives["theta_i"], context),
-            MotorAxis("theta_mes", config.theta_mes, drives["theta_mes"], context),
-            line=line.line,
-            descriptions={name: drive.describe() for name, drive in drives.items()},
-        )
-        stage.home_where_needed()
-    return stage
+
+    def make(name: str, table: ZaberAxisConfig) -> ZaberDrive:
+        drive = ZaberDrive(line, name, table)
+        drive.check_travel()
+        return drive
+
+    return open_two_axes(config, context, line.line, make)
 
 
 driver = Driver("stage", ZaberStageConfig, open_stage)
