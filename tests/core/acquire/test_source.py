@@ -201,6 +201,9 @@ def test_a_source_is_shown_the_same_bits_after_a_resume(memory: ModuleType, tmp_
     drift = {"noise_full": 1e-3, "noise_dark_v": 1e-5, "gain_drift_s": 1e-4, "dark_drift_v_s": 1e-6}
     path, first, second = tmp_path / "scan.h5", Walker(), Walker()
     stopped(memory, path, 5, first, **drift)
+    shown = np.stack([found.r for found in first.shown[-1]])
+    assert len(shown) == 4, "with references before the last"
+    np.testing.assert_allclose(gonio.load(path).r[:4], shown, rtol=1e-13)
     resume_scan(path, memory.rig(memory.World(**drift)), source=second).run()
     for seen in second.shown:
         for before, after in zip(first.shown[-1], seen, strict=False):
@@ -295,6 +298,7 @@ def test_a_refused_decision_may_pause_until_the_source_is_mended(memory: ModuleT
         (Walker(max_positions=0), "max_positions = 0; give 1 to 1000000"),
         (Walker(max_positions=2_000_000), "max_positions = 2000000; give 1 to 1000000"),
         (PlanSource((Position(0, 20.0, 5.0, "s"),)), "blind zone"),
+        (PlanSource((Position(0, 20.0, -40.0, "s"),)), "blind zone"),  # on the way from the baseline
         (None, r'\[source\] name = "python"\); give Runner or resume_scan a source'),
     ],
 )
@@ -441,6 +445,7 @@ def test_a_record_damaged_by_the_disk_is_decided_or_measured_again(
     bad[start + 3] ^= 0xFF
     path = tmp_path / "scan.h5"
     journal_path(path).write_bytes(bytes(bad))
+    assert len(gonio.load(path).position) == 4, "a reading nobody asked for means nothing"
     world = memory.World()
     resume_scan(path, memory.rig(world), source=SHORT()).run()
     scan = gonio.load(path)
