@@ -269,7 +269,6 @@ class Runner:
         while (step := self._next_step(self._agenda)) is not None:
             if self._pause_requested:
                 self._wait_for_resume("paused by the operator", "info")
-            self._raise_if_stopped()
             record = self._perform(step)
             following = self._agenda.following
             if following is not None and not self._pause_requested and not self._stop_requested:
@@ -284,6 +283,7 @@ class Runner:
     def _next_step(self, agenda: Agenda) -> Step | None:
         """Return what is to be done now; a source that cannot be followed pauses the scan, or ends it."""
         while True:
+            self._raise_if_stopped()
             try:
                 return agenda.next()
             except RefusedError as error:
