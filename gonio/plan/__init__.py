@@ -14,6 +14,7 @@ from gonio.plan.tables import (
     References,
     Repeats,
     Sample,
+    Source,
     Sweep,
     WavelengthRange,
 )
@@ -31,6 +32,7 @@ __all__ = [
     "Refusal",
     "Repeats",
     "Sample",
+    "Source",
     "Sweep",
     "Timetable",
     "WavelengthRange",
