@@ -43,6 +43,12 @@ def dry_run(
             f"{len(refusals)} refused; nothing would be measured until the plan is corrected", file=sys.stderr
         )
         return 1
+    if plan.source is not None and plan.n_positions == 0:
+        print(
+            f"the positions come from the source '{plan.source.name}' while the scan runs: each is checked "
+            "before it is gone to, and no time can be told before"
+        )
+        return 0
     print(
         "every position is allowed, and every way between them; the file takes up to "
         f"{needed / 1e6:.1f} MB while it is written"

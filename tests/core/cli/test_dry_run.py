@@ -79,3 +79,14 @@ def test_the_estimate_is_near_the_scan(tmp_path: Path) -> None:
     table = timetable(plan, rig.model_copy(update={"latency": latency}))
     assert table.instrument_s < 1.05 * measured_s
     assert table.total_s > 0.7 * measured_s
+
+
+def test_a_plan_whose_positions_are_chosen_on_the_way_says_so(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    plan = tmp_path / "chosen.toml"
+    plan.write_text('[[wavelengths]]\nvalues_nm = [550.0]\n[source]\nname = "python"\n', encoding="utf-8")
+    assert main(["plan", str(plan)]) == 0
+    text = capsys.readouterr().out
+    assert "the positions come from the source 'python' while the scan runs" in text
+    assert "order" not in text
