@@ -305,8 +305,8 @@ def test_a_detector_beyond_the_gratings_is_a_mistake_in_the_rig_file():
 
 
 def test_the_estimate_by_hand():
-    """Settling 0.5 s each, 0.7 s more at first and after each change, 175 nm/s after a start of 0.02 s, changes as
-    configured.
+    """Settling 0.5 s each, 0.7 s more at first and after each change, 175 nm/s after a start of 0.02 s,
+    changes as configured.
     """
     few = np.array([600.0, 610.0])
     drive_s = 2 * 0.02 + 20 / 175
