@@ -11,8 +11,7 @@ motion of the next begins before the record of the last is on the disk, unless a
 record first (`gonio.acquire.agenda`); 5. ending references, correction of all positions with them, removal
 of the journal.
 
-When a device fails, the step is measured anew after the rig has recovered, as often as the policy allows
-(`gonio.acquire.policy.FaultPolicy`); then the scan pauses, skips the position or ends.
+A step at which a device fails is measured anew after recovery; then `FaultPolicy` says what follows.
 
 Times are seconds on the instrument clock since the scan began.  When a scan is resumed, the axis goes on
 after the last recorded time: on real hardware by the time that passed meanwhile, since lamp and amplifier
@@ -118,6 +117,7 @@ class Runner:
         self._measurer: Measurer | None = None
         self._agenda: Agenda | None = None
         self._step: Step | None = None
+        self._latest: Step | None = None  # the one measured last, for what is shown between two
         self._reading = 0
         self._done = 0
         self._steps_done = 0
@@ -172,10 +172,11 @@ class Runner:
     def snapshot(self) -> Snapshot:
         """Return where the scan stands now."""
         step, m = self._step, len(self._wavelength_nm)
-        at = step.position if isinstance(step, PositionStep) else None
+        shown = step or self._latest
+        at = shown.position if isinstance(shown, PositionStep) else None
         angles = (self._measurer.angles_deg if self._measurer else None) or (None, None)
         polarization = (
-            step.polarization if isinstance(step, ReferenceStep) else at.polarization if at else None
+            shown.polarization if isinstance(shown, ReferenceStep) else at.polarization if at else None
         )
         now_s = self._now_s() if self._active else (self._session.last_time_s if self._session else 0.0)
         agenda, given = self._agenda, self._given_source
@@ -231,7 +232,7 @@ class Runner:
             with Watchdog(self.policy.silence_s, self._gave_no_sign) as self._watchdog:
                 self._perform_all()
             self._rig.spectrometer.close_shutter()
-            self._step = None
+            self._latest = self._step = None
             self._message = "correcting with all references"
             self._open.finish(now_iso())
             self._active = False
@@ -276,7 +277,7 @@ class Runner:
             self._keep(record)
             self._done += isinstance(step, PositionStep)
             self._steps_done += 1
-            self._step, self._reading = None, 0
+            self._latest, self._step, self._reading = step, None, 0
             self._agenda.pace.step_done(step)
             self._publish()
 
@@ -383,7 +384,7 @@ class Runner:
         troubles = self._devices.rest()
         began_s = self._now_s()
         self._event(level, "; ".join([f"{reason}: motors at rest, shutter closed", *troubles]))
-        self._step, self._reading = None, 0
+        self._latest, self._step, self._reading = None, None, 0
         self._set(State.PAUSED, f"{reason}; motors at rest, shutter closed")
         while self._pause_requested and not self._stop_requested:
             time.sleep(_PAUSE_POLL_S)
@@ -444,7 +445,7 @@ class Runner:
             with suppress(Exception):  # the disk may be what failed
                 self._event("info" if interrupted else "error", "; ".join([reason, *troubles]))
         self._active = False
-        self._step = None
+        self._latest = self._step = None
         with suppress(Exception):  # the first error counts, not what a callback makes of it
             if interrupted:
                 self._set(State.IDLE, f"stopped{go_on}")

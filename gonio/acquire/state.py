@@ -47,7 +47,7 @@ class Snapshot:
     readings_done, readings_total : readings at one wavelength, references included
     elapsed_s : instrument seconds since the scan began
     left_s : estimated instrument seconds to its end, from the plan's model and the pace so far
-    position : number of the position being measured, from zero; None during references
+    position : number of the position being measured, between two of the last; None during references
     theta_i_deg, theta_mes_deg, polarization, wavelength_nm : what is being measured, None before it is known
     message : what is being done, or why the scan ended
     """

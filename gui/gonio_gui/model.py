@@ -201,8 +201,8 @@ class Model:
             # between two steps nothing is being measured: what was stays in view, it does not flicker
             snapshot = dataclasses.replace(
                 snapshot,
-                position=before.position,
-                polarization=before.polarization,
+                position=before.position if snapshot.position is None else snapshot.position,
+                polarization=snapshot.polarization or before.polarization,
                 wavelength_nm=before.wavelength_nm,
             )
         self.snapshot = snapshot
