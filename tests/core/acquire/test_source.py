@@ -378,7 +378,7 @@ def test_it_can_be_read_while_it_runs(memory: ModuleType, tmp_path: Path) -> Non
     seen: list[tuple[int, int, bool]] = []
 
     def on_snapshot(snapshot: Snapshot) -> None:
-        if snapshot.state is State.RUNNING and snapshot.done in (1, 4) and snapshot.position is None:
+        if snapshot.state is State.RUNNING and snapshot.done in (1, 4) and snapshot.wavelength_nm is None:
             scan = gonio.load(path)
             truth = memory.true_r(scan.theta_i_deg, scan.theta_mes_deg, scan.polarization, scan.wavelength_nm)
             np.testing.assert_allclose(scan.r, truth, rtol=1e-9)
@@ -392,7 +392,7 @@ def test_a_skipped_position_is_shown_as_nan(memory: ModuleType, tmp_path: Path) 
     path, world, source = tmp_path / "scan.h5", memory.World(), Walker()
 
     def on_snapshot(snapshot: Snapshot) -> None:
-        if snapshot.done == 2 and snapshot.position is None:
+        if snapshot.done == 2 and snapshot.wavelength_nm is None:
             world.fail["measure"] = MotionError("theta_i", "is stuck", "free it")
 
     policy = FaultPolicy(retries=0, then="skip")
