@@ -1,4 +1,4 @@
-"""What is a scattering model to the fit: columns that enter linearly, and how their shape depends on the rest.
+"""What is a scattering model to the fit: columns that enter linearly, and shape parameters.
 
     r_i = sum over l of  c_l Phi_l,i(x)
 
@@ -11,12 +11,16 @@ eliminates c (variable projection) and searches over x alone.  The **basic** par
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.aperture import Receiver
+from gonio.brdf import ScatteringModel
+
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,34 +47,39 @@ class Columns:
 class FitModel(Protocol):
     """A scattering model seen through a receiver at n positions."""
 
-    @property
-    def name(self) -> str:
-        """Name in files and tables, that of the `gonio.brdf` model."""
+    name: ClassVar[str]
+    """That of the `gonio.brdf` model, in files and tables."""
+    linear: ClassVar[tuple[str, ...]]
+    """Names of the L coefficients."""
+    shape: ClassVar[tuple[str, ...]]
+    """Names of the k shape parameters; may be empty."""
+    parameters: ClassVar[tuple[str, ...]]
+    """Names of the parameters people know, as many as basic ones, in the order of `scattering`."""
+    low: ClassVar[FloatArray]
+    """Lower ends of the range of the shape parameters, (k,)."""
+    high: ClassVar[FloatArray]
+    """Upper ends, (k,)."""
+
+    @classmethod
+    def of(
+        cls, receiver: Receiver, theta_i_deg: FloatArray, theta_o_deg: FloatArray, is_s: BoolArray
+    ) -> Self:
+        """Return the model at n positions, (n,) each."""
         ...
 
-    @property
-    def linear(self) -> tuple[str, ...]:
-        """Names of the L coefficients."""
+    @staticmethod
+    def scattering(published: FloatArray) -> ScatteringModel:
+        """Return the surface with the known parameters, (m, p)."""
         ...
 
-    @property
-    def shape(self) -> tuple[str, ...]:
-        """Names of the k shape parameters; may be empty."""
+    @staticmethod
+    def published(basic: FloatArray) -> FloatArray:
+        """Return the known parameters, (m, p), from basic ones, (m, p)."""
         ...
 
-    @property
-    def low(self) -> FloatArray:
-        """Lower ends of the range of the shape parameters, (k,)."""
-        ...
-
-    @property
-    def high(self) -> FloatArray:
-        """Upper ends, (k,)."""
-        ...
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Names of the parameters people know, as many as basic ones."""
+    @staticmethod
+    def published_jacobian(basic: FloatArray) -> FloatArray:
+        """Return the derivatives of the known by the basic parameters, (m, p, p)."""
         ...
 
     def columns(self, x: FloatArray, order: int = 0) -> Columns:
@@ -85,10 +94,27 @@ class FitModel(Protocol):
         """
         ...
 
-    def published(self, basic: FloatArray) -> FloatArray:
-        """Return the known parameters, (m, p), from basic ones, (m, p)."""
-        ...
 
-    def published_jacobian(self, basic: FloatArray) -> FloatArray:
-        """Return the derivatives of the known by the basic parameters, (m, p, p)."""
-        ...
+def readings(model: FitModel, basic: FloatArray) -> FloatArray:
+    """Return the readings r, (n, m), of m sets of basic parameters (m, p)."""
+    count = len(model.linear)
+    total = 0.0
+    for c, column in zip(basic[:, :count].T, model.columns(basic[:, count:]).value, strict=True):
+        total = total + c * column
+    return np.asarray(total)
+
+
+def jacobian(model: FitModel, basic: FloatArray) -> FloatArray:
+    """Return the derivatives of the readings by the basic parameters, (m, n, p)."""
+    count = len(model.linear)
+    at = model.columns(basic[:, count:], order=1)
+    m = len(basic)
+    j = np.zeros((m, at.value[0].shape[0], basic.shape[1]))
+    for k, column in enumerate(at.value):
+        j[:, :, k] = column.T
+    for a in range(len(model.shape)):
+        for k, slopes in enumerate(at.first):
+            slope = slopes[a]
+            if slope is not None:
+                j[:, :, count + a] += (basic[:, k] * slope).T
+    return j
