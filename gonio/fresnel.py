@@ -49,6 +49,13 @@ def reflectance(n2: ArrayLike, theta_i_deg: ArrayLike, polarization: Polarizatio
     return _mixed(lambda a: a(n, c, contrast) ** 2, polarization)
 
 
+def reflectance_at_cosine(n2: ArrayLike, cos_i: ArrayLike, polarization: Polarization) -> FloatArray:
+    """Return `reflectance` at an incidence given by its cosine, 0...1, that of a half vector, say."""
+    n, c = _checked(n2, 0.0)[0], np.asarray(cos_i, np.float64)
+    contrast = (n - 1.0) * (n + 1.0)
+    return _mixed(lambda a: a(n, c, contrast) ** 2, polarization)
+
+
 def reflectance_ratio(n2: ArrayLike, theta_i_deg: ArrayLike, polarization: Polarization) -> FloatArray:
     """Return ``R(theta_i) / R(0)``, which stays finite and smooth down to n2 = 1 where both vanish.
 

@@ -10,11 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gonio.angles import sin_deg
-from gonio.brdf.models import ScatteringModel
+from gonio.brdf.protocol import ScatteringModel
 from gonio.brdf.quadrature import gauss_legendre
 from gonio.fresnel import Polarization
+
+FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,19 +56,32 @@ def check_model(
 ) -> ModelCheck:
     """Return the worst reciprocity violation and albedo of a model with scalar parameters.
 
-    Directions every `step_deg` from 0 to below 90 degrees and every 15 degrees of azimuth; incidences for the
-    albedo every 0.1 degree up to 90.
+    Reciprocity: directions every `step_deg` from 0 to below 90 degrees and every 15 degrees of azimuth, and
+    pairs a little off the mirror direction, 0.01...1 degree, where narrow lobes live.  Albedo: every degree
+    up to 90, then every 0.1 degree about the largest and about where it first exceeds 1.
+
+    Polarizer and detector do not change places with the directions: for a model whose diffuse light has lost
+    its polarization (`gonio.brdf.coupled`) S or P alone is not reciprocal in this sense; ``"unpolarized"``,
+    the mean of both, is the test of the surface.
     """
-    theta = np.arange(0.0, 90.0, step_deg)
-    i, o, azimuth = np.meshgrid(theta, theta, np.arange(0.0, 181.0, 15.0), indexing="ij")
+    i, o, azimuth = _pairs(step_deg)
     cos_i, cos_o = np.cos(np.deg2rad(i)), np.cos(np.deg2rad(o))
     there = model.dsf(i, o, polarization, azimuth) / cos_o
     back = model.dsf(o, i, polarization, azimuth) / cos_i
     violation = np.abs(there - back) / np.maximum(there + back, np.finfo(float).tiny)
-    worst = np.unravel_index(int(np.argmax(violation)), violation.shape)
-    incidence = np.linspace(0.0, 90.0, 901)
-    albedo = np.asarray(model.directional_albedo(incidence, polarization))
-    above = np.flatnonzero(albedo > 1.0)
+    worst = int(np.argmax(violation))
+
+    def albedo_at(incidence: FloatArray) -> FloatArray:
+        return np.asarray(model.directional_albedo(incidence, polarization))
+
+    incidence = np.linspace(0.0, 90.0, 91)
+    albedo = albedo_at(incidence)
+    turns = {int(np.argmax(albedo)), *np.flatnonzero(albedo > 1.0)[:1].tolist()}
+    for turn in turns:
+        near = np.round(incidence[turn] + np.arange(-0.9, 0.95, 0.1), 1)
+        near = near[(near > 0.0) & (near < 90.0)]
+        incidence, albedo = np.append(incidence, near), np.append(albedo, albedo_at(near))
+    above = incidence[albedo > 1.0]
     top = int(np.argmax(albedo))
     return ModelCheck(
         model=model.name,
@@ -74,8 +90,20 @@ def check_model(
         reciprocity_at_deg=(float(i[worst]), float(o[worst]), float(azimuth[worst])),
         albedo=float(albedo[top]),
         albedo_at_deg=float(incidence[top]),
-        energy_from_deg=float(incidence[above[0]]) if above.size else float("nan"),
+        energy_from_deg=float(np.min(above)) if above.size else float("nan"),
     )
+
+
+def _pairs(step_deg: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the (theta_i, theta_o, azimuth) that are tried, degrees."""
+    theta = np.arange(0.0, 90.0, step_deg)
+    grid = np.meshgrid(theta, theta, np.arange(0.0, 181.0, 15.0), indexing="ij")
+    off = np.geomspace(0.01, 1.0, 9)
+    mirror, beside = np.meshgrid(np.append(theta, [88.5, 89.5]), np.concatenate([-off, off]), indexing="ij")
+    inside = (mirror + beside >= 0.0) & (mirror + beside < 90.0)
+    flank = (mirror[inside], (mirror + beside)[inside], np.zeros(int(np.sum(inside))))
+    i, o, azimuth = (np.concatenate([a.ravel(), b]) for a, b in zip(grid, flank, strict=True))
+    return i, o, azimuth
 
 
 def integrated_albedo(
