@@ -89,6 +89,12 @@ class Material:
         Where the fit found no lobe, rho_s is 0 and alpha and n2 are placeholders.  A negative rho_d or rho_s,
         as noise may give, is set to 0: a surface cannot reflect less than nothing.
         """
+        if fit.model != "published" or fit.polarization == "shared_n2":
+            raise GonioError(
+                f"no material from a fit of model '{fit.model}', polarization '{fit.polarization}': a material "
+                "is one published lobe for S and P; fit with model 'published' and polarization 'joint', 's' "
+                "or 'p'"
+            )
         fit = fit.only(fit.home)  # one value where two detectors measured a wavelength
         rho_d, rho_s, alpha, n2 = fit.value.T
         # a lobe whose rho_s and n2 cannot be told apart has no reflection at other incidences

@@ -3,7 +3,6 @@
 from gonio.fitting.estimate import fit, fit_readings
 from gonio.fitting.file import load_fit
 from gonio.fitting.result import (
-    PARAMETERS,
     ApertureModel,
     Coefficient,
     FitResult,
@@ -13,7 +12,6 @@ from gonio.fitting.result import (
 )
 
 __all__ = [
-    "PARAMETERS",
     "ApertureModel",
     "Coefficient",
     "FitResult",

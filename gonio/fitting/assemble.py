@@ -9,78 +9,105 @@ from numpy.typing import NDArray
 from scipy import special
 
 from gonio.aperture import Aperture, ApertureName
+from gonio.fitting.columns import BoolArray, FitModel, FloatArray, readings
 from gonio.fitting.covariance import CommonMode, random_and_common, without_common
-from gonio.fitting.limits import lobe_is_seen, profile_limits
+from gonio.fitting.dispersion import Dispersion
+from gonio.fitting.ends import Ends, open_ends
+from gonio.fitting.limits import diffuse_only, is_lobe, lobe_is_seen
 from gonio.fitting.notes import write_notes
-from gonio.fitting.problem import N2_MIN, Problem, published_from_basic, published_jacobian
-from gonio.fitting.result import CONFIDENCE, PARAMETERS, FitResult, IntervalMethod, PolarizationChoice
+from gonio.fitting.result import CONFIDENCE, FitResult, IntervalMethod, PolarizationChoice
+from gonio.fitting.robust import Loss, robust_scale, variance_factor
+from gonio.fitting.shared import Detectors, Shared, fit_shared
 from gonio.fitting.solve import Solution
+from gonio.fitting.weighing import Used, Weighed
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """What was asked for and of which positions, (n,) and wavelengths, (m,): passed through to the result."""
+
+    wavelength_nm: FloatArray
+    detector_index: NDArray[np.uint8]
+    theta_i_deg: FloatArray
+    theta_o_deg: FloatArray
+    polarization_of: NDArray[np.str_]
+    position: NDArray[np.intp]  # numbers of the positions in the scan
+    model: str
+    aperture: ApertureName
+    polarization: PolarizationChoice
+    intervals: IntervalMethod
+    weights: str
+    loss: Loss
+    instrument: Aperture
+    sample_name: str
 
 
 @dataclass(slots=True)
 class Findings:
     """Everything known of k fitted wavelengths, before it is spread over all m."""
 
-    value: FloatArray  # (k, 4)
+    names: tuple[str, ...]
+    value: FloatArray  # (k, p)
     se: FloatArray
     lower: FloatArray
     upper: FloatArray
-    covariance: FloatArray  # (k, 4, 4)
+    covariance: FloatArray  # (k, p, p)
     basic: FloatArray
     basic_covariance: FloatArray
+    modes: FloatArray  # (g, k, p)
     chi2: FloatArray  # (k,)
     dof: FloatArray
     residual: FloatArray  # (n, k), NaN where unused
     sigma: FloatArray
+    scale: FloatArray  # (k,) variance of the residuals in units of sigma squared
     converged: BoolArray
     lobe: BoolArray  # a lobe is seen
-    single: BoolArray  # one incidence and polarization only
+    untold: BoolArray  # one incidence and polarization only
 
 
 def assemble(
-    problem: Problem,
-    solution: Solution,
+    model: FitModel,
+    kind: type[FitModel],
+    weighed: Weighed,
+    used: Used,
     *,
-    y: FloatArray,
-    w: FloatArray,
-    single: BoolArray,
-    columns: NDArray[np.intp],
-    count: NDArray[np.int64],
+    free: BoolArray,
+    untold: BoolArray,
     common: CommonMode | None,
-    wavelength_nm: FloatArray,
-    detector_index: NDArray[np.uint8],
-    theta_o_deg: FloatArray,
-    position: NDArray[np.intp],
-    aperture: ApertureName,
-    polarization: PolarizationChoice,
-    intervals: IntervalMethod,
-    weights: str,
-    instrument: Aperture,
-    sample_name: str,
+    dispersion: Dispersion | None,
+    detectors: Detectors | None,
+    setting: Setting,
 ) -> FitResult:
-    """Return the result over all m wavelengths; those outside `columns` are NaN and have a note."""
-    found = _findings(problem, solution, y, w, single, count[columns], common, intervals)
-    notes = write_notes(found, position)
-    m = len(wavelength_nm)
+    """Return the result over all m wavelengths; those that could not be fitted are NaN and have a note.
+
+    Parameters
+    ----------
+    free
+        Shape parameters that a wavelength was free to choose, (k, shape).
+    untold
+        Where the data tell only the product of rho_s and R, (k,).
+    """
+    found, shared = _findings(
+        model, kind, weighed, used, free, untold, common, dispersion, detectors, setting
+    )
+    notes = write_notes(found, setting.position)
+    m = len(setting.wavelength_nm)
 
     def spread(values: FloatArray, fill: float = np.nan, axis: int = 0) -> FloatArray:
         shape = list(values.shape)
         shape[axis] = m
         whole = np.full(shape, fill, dtype=values.dtype)
-        whole[(slice(None),) * axis + (columns,)] = values
+        whole[(slice(None),) * axis + (used.columns,)] = values
         return whole
 
-    every = [f"only {c} usable readings, too few to fit" for c in count]
-    for at, note in zip(columns, notes, strict=True):
+    every = [f"only {c} usable readings, too few to fit" for c in used.count]
+    for at, note in zip(used.columns, notes, strict=True):
         every[at] = note
     rms = np.sqrt(np.nanmean(found.residual**2, axis=0))
     return FitResult(
-        wavelength_nm=wavelength_nm,
-        detector_index=detector_index,
-        parameters=PARAMETERS,
+        wavelength_nm=setting.wavelength_nm,
+        detector_index=setting.detector_index,
+        parameters=kind.parameters,
         value=spread(found.value),
         se=spread(found.se),
         lower=spread(found.lower),
@@ -88,6 +115,11 @@ def assemble(
         covariance=spread(found.covariance),
         basic=spread(found.basic),
         basic_covariance=spread(found.basic_covariance),
+        modes=spread(found.modes, axis=1),
+        mode_names=() if shared is None else shared.mode_names,
+        shared_names=() if shared is None else shared.names,
+        shared_value=np.zeros(0) if shared is None else shared.value,
+        shared_covariance=np.zeros((0, 0)) if shared is None else shared.covariance,
         chi2=spread(found.chi2),
         dof=spread(found.dof, 0.0).astype(np.int64),
         rms=spread(rms),
@@ -95,144 +127,161 @@ def assemble(
         notes=tuple(every),
         residual=spread(found.residual, axis=1),
         sigma=spread(found.sigma, axis=1),
-        theta_i_deg=problem.theta_i_deg,
-        theta_o_deg=theta_o_deg,
-        polarization_of=np.where(problem.is_s, "s", "p"),
-        aperture=aperture,
-        polarization=polarization,
-        intervals=intervals,
-        weights=weights,
-        instrument=instrument,
-        sample_name=sample_name,
+        theta_i_deg=setting.theta_i_deg,
+        theta_o_deg=setting.theta_o_deg,
+        polarization_of=setting.polarization_of,
+        model=setting.model,
+        aperture=setting.aperture,
+        polarization=setting.polarization,
+        intervals=setting.intervals,
+        weights=setting.weights,
+        loss=setting.loss,
+        instrument=setting.instrument,
+        sample_name=setting.sample_name,
     )
 
 
 def _findings(
-    problem: Problem,
-    solution: Solution,
-    y: FloatArray,
-    w: FloatArray,
-    single: BoolArray,
-    count: NDArray[np.int64],
+    model: FitModel,
+    kind: type[FitModel],
+    weighed: Weighed,
+    used: Used,
+    free: BoolArray,
+    untold: BoolArray,
     common: CommonMode | None,
-    intervals: IntervalMethod,
-) -> Findings:
-    basic, chi2 = solution.basic.copy(), solution.chi2.copy()
-    used = w > 0.0
-    dof = (count - np.where(single, 3, 4)).astype(np.float64)
-    lobe = lobe_is_seen(y, w, problem.diffuse, chi2, dof)
-    without = np.flatnonzero(~lobe)
-    if without.size:  # a Lambertian fit, with a lobe of no strength and no shape
-        d, wx = problem.diffuse[:, None], w[:, without]
-        basic[without, 0] = np.sum(wx * d * y[:, without], axis=0) / np.sum(wx * d * d, axis=0)
-        basic[without, 1] = 0.0
-        dof[without] = count[without] - 1
-    residual = y - problem.model(basic)
+    dispersion: Dispersion | None,
+    detectors: Detectors | None,
+    setting: Setting,
+) -> tuple[Findings, Shared | None]:
+    solution, w = weighed.solution, weighed.w * weighed.factor
+    basic, y = solution.basic.copy(), used.y
+    linear, p = len(kind.linear), basic.shape[1]
+    count = used.count[used.columns]
+    dof = (count - linear - np.sum(free, axis=1)).astype(np.float64)
+    lobe, basic, dof = _without_lobe(model, y, w, basic, solution.chi2, dof, count)
+    held = np.zeros(basic.shape, bool)
+    held[:, linear:] = ~free
+    held[~lobe] |= [not name.startswith("rho_d") for name in (*kind.linear, *kind.shape)]
+
+    shared = None
+    if dispersion is not None or detectors is not None:
+        random, _ = random_and_common(model, basic, w, held, None)
+        n2 = p - 1 if "n2" in kind.shape else 0
+        shared = fit_shared(
+            model, y, w, Solution(basic, solution.chi2, solution.converged & lobe),
+            free=free & lobe[:, None],
+            n2_se=np.sqrt(np.maximum(random[:, n2, n2], 0.0)),
+            dof=dof,
+            wavelength_nm=setting.wavelength_nm[used.columns],
+            detector_index=setting.detector_index[used.columns],
+            dispersion=dispersion,
+            detectors=Detectors(np.zeros(1), np.zeros(1)) if detectors is None else detectors,
+        )  # fmt: skip
+        solution, basic = shared.solution, shared.solution.basic.copy()
+        y, w = (y - shared.offset) / shared.gain, w * shared.gain**2
+        if dispersion is not None:
+            held[:, p - 1] = True
+            dof = dof + (lobe & free[:, -1])
+    residual = np.where(used.use, y - readings(model, basic), 0.0)
     chi2 = np.sum(w * residual**2, axis=0)
-    scale = chi2 / dof
-    if common is not None:  # the scatter alone, without what positions share
-        clean, taken = without_common(problem, basic, w, residual, common)
+    scale, w_cov = chi2 / dof, w
+    if setting.loss != "squares":
+        u = np.sqrt(weighed.w) * residual
+        s = robust_scale(u, used.use, p)
+        u = u / np.where(s > 0.0, s, 1.0)
+        scale, w_cov = s**2 * variance_factor(u, used.use, setting.loss, p), weighed.w
+    elif common is not None:  # the scatter alone, without what positions share
+        clean, taken = without_common(model, basic, w, residual, common)
         scale = np.sum(w * clean**2, axis=0) / (dof - taken)
     t = np.asarray(special.stdtrit(dof, 0.5 + 0.5 * CONFIDENCE), np.float64)
-    held = np.zeros((len(basic), 4), bool)
-    held[:, 3] = single
-    held[~lobe, 1:] = True
-    inverse, shared = random_and_common(problem, basic, w, held, common)
-    covariance = scale[:, None, None] * inverse + shared
-    if intervals == "wald":
-        limits = _limits(
-            problem, y, w, Solution(basic, chi2, solution.converged), lobe, single, scale, t, inverse
-        )
+
+    unit, from_common = random_and_common(model, basic, w_cov, held, common)
+    ends = Ends.none(basic.shape[0], len(kind.shape))
+    if setting.intervals == "wald":
+        may = free & lobe[:, None]
+        if dispersion is not None:
+            may[:, -1] = False
+        at_optimum = Solution(basic, chi2, solution.converged)
+        ends = Ends.of(model, y, w, at_optimum, may, scale, t, unit)
         # a lobe inside one aperture: alpha is unbounded above, and the rest does not depend on it
-        mirror = lobe & np.isposinf(limits[1][:, 0])
-        if np.any(mirror):
-            held[mirror, 2] = True
-            inverse, shared = random_and_common(problem, basic, w, held, common)
-            covariance = scale[:, None, None] * inverse + shared
-    value = published_from_basic(np.where(single[:, None] & (np.arange(4) == 3), np.nan, basic))
-    transform = published_jacobian(basic)
-    published = _transformed(transform, covariance)
+        endless = np.isposinf(ends.upper) & may & np.array([n != "n2" for n in kind.shape], bool)
+        if np.any(endless):
+            held[:, linear:] |= endless
+            unit, from_common = random_and_common(model, basic, w_cov, held, common)
+    covariance, modes = scale[:, None, None] * unit + from_common, np.zeros((0, *basic.shape))
+    given = held.copy()  # without uncertainty of their own, but known
+    given[:, :linear] = False
+    given &= lobe[:, None] & ~np.isposinf(np.pad(ends.upper, ((0, 0), (linear, 0))))
+    given[untold] = False
+    covariance = np.where(given[:, :, None] | given[:, None, :], 0.0, covariance)
+    if shared is not None:
+        modes = shared.modes * np.where(np.isnan(np.diagonal(covariance, axis1=1, axis2=2)), 0.0, 1.0)
+        covariance = covariance + np.einsum("gka,gkb->kab", modes, modes)
+    basic_nan = basic.copy()
+    basic_nan[~lobe] = np.where([n.startswith("rho_d") or is_lobe(n) for n in (*kind.linear, *kind.shape)],
+                                basic[~lobe], np.nan)  # fmt: skip
+    if np.any(untold):
+        basic_nan[untold, p - 1] = np.nan
+    value = _published(kind, basic, lobe, untold)
+    safe = np.where(np.isfinite(basic), basic, 1.0)
+    published = _transformed(kind.published_jacobian(safe), covariance)
     se = np.sqrt(np.diagonal(published, axis1=1, axis2=2))
     half = t[:, None] * se
     lower, upper = value - half, value + half
-    if intervals == "wald":
-        factor = np.exp(t * np.sqrt(covariance[:, 2, 2]))
-        lower[:, 2], upper[:, 2] = value[:, 2] / factor, value[:, 2] * factor
-        _open(se, lower, upper, published, basic, limits)
-    value[~lobe, 2:] = np.nan
-    value[~lobe, 1] = 0.0
-    basic[~lobe, 2:] = np.nan
-    basic[single, 3] = np.nan
-    sigma = np.where(used, 1.0 / np.sqrt(np.where(used, w, 1.0)), np.nan)
-    residual = np.where(used, residual, np.nan)
-    return Findings(
-        value, se, lower, upper, published, basic, covariance, chi2, dof, residual, sigma,
-        solution.converged, lobe, single,
+    if setting.intervals == "wald":
+        open_ends(kind, basic, covariance, ends, t, value, se, lower, upper, published)
+    part = Findings(
+        kind.parameters, value, se, lower, upper, published, basic_nan, covariance, modes, chi2, dof,
+        np.where(used.use, residual, np.nan),
+        np.where(used.use, 1.0 / np.sqrt(np.where(used.use, w_cov, 1.0)), np.nan),
+        scale, solution.converged, lobe, untold,
     )  # fmt: skip
+    return part, shared
+
+
+def _without_lobe(
+    model: FitModel,
+    y: FloatArray,
+    w: FloatArray,
+    basic: FloatArray,
+    chi2: FloatArray,
+    dof: FloatArray,
+    count: NDArray[np.int64],
+) -> tuple[BoolArray, FloatArray, FloatArray]:
+    """Return where a lobe is seen, and the parameters and degrees of freedom with a plain fit elsewhere."""
+    lobes = [name for name in model.linear if is_lobe(name)]
+    if not lobes:
+        return np.ones(len(basic), bool), basic, dof
+    plain = diffuse_only(model, y, w, basic)
+    diffuse_count = len(model.linear) - len(lobes)
+    plain_chi2 = np.sum(w * (y - readings(model, plain)) ** 2, axis=0)
+    lobe = lobe_is_seen(y, w, plain_chi2, chi2, dof, basic.shape[1] - diffuse_count)
+    return (
+        lobe,
+        np.where(lobe[:, None], basic, plain),
+        np.where(lobe, dof, (count - diffuse_count).astype(np.float64)),
+    )
+
+
+def _published(kind: type[FitModel], basic: FloatArray, lobe: BoolArray, untold: BoolArray) -> FloatArray:
+    """Return the known parameters, NaN where they are undefined or untold."""
+    basic = basic.copy()
+    if np.any(untold):
+        basic[untold, -1] = np.nan
+    value = kind.published(basic)
+    for column, name in enumerate(kind.parameters):
+        if not name.startswith("rho_d"):
+            value[~lobe, column] = 0.0 if is_lobe(name) else np.nan
+    return value
 
 
 def _transformed(transform: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return ``T C T'`` (k, 4, 4) in which an unknown covariance does not spread through the zeros of T."""
+    """Return ``T C T'`` (k, p, p) in which an unknown covariance does not spread through the zeros of T."""
     unknown = np.isnan(np.diagonal(covariance, axis1=1, axis2=2))
     known = np.where(np.isnan(covariance), 0.0, covariance)
     result = np.einsum("kab,kbc,kdc->kad", transform, known, transform)
     lost = np.einsum("kab,kb->ka", (transform != 0.0).astype(np.float64), unknown.astype(np.float64)) > 0.0
     return np.where(lost[:, :, None] | lost[:, None, :], np.nan, result)
-
-
-def _limits(
-    problem: Problem,
-    y: FloatArray,
-    w: FloatArray,
-    solution: Solution,
-    lobe: BoolArray,
-    single: BoolArray,
-    scale: FloatArray,
-    t: FloatArray,
-    inverse: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Return profile limits (lower, upper), (k, 2) each, of log_alpha and n2; NaN where Wald's stand."""
-    lower, upper = np.full((len(t), 2), np.nan), np.full((len(t), 2), np.nan)
-    for column in (0, 1):
-        rows = np.flatnonzero(lobe & ~(single if column == 1 else np.zeros_like(single)))
-        if not rows.size:
-            continue
-        part = Solution(solution.basic[rows], solution.chi2[rows], solution.converged[rows])
-        se = np.sqrt(scale[rows] * inverse[rows, 2 + column, 2 + column])
-        limits = profile_limits(
-            problem, y[:, rows], w[:, rows], part,
-            column=column, se=se, variance_scale=scale[rows], quantile=t[rows],
-        )  # fmt: skip
-        lower[rows, column], upper[rows, column] = limits.lower, limits.upper
-    return lower, upper
-
-
-def _open(
-    se: FloatArray,
-    lower: FloatArray,
-    upper: FloatArray,
-    covariance: FloatArray,
-    basic: FloatArray,
-    limits: tuple[FloatArray, FloatArray],
-) -> None:
-    """Put open-ended profile limits in place of Wald's; what has no bound has no se."""
-    low, high = limits
-    alpha = ~np.isnan(low[:, 0])
-    lower[alpha, 2], upper[alpha, 2] = np.exp(low[alpha, 0]), np.exp(high[alpha, 0])
-    n2 = ~np.isnan(low[:, 1])
-    k_n = basic[n2, 1]
-    lower[n2, 3] = np.where(np.isneginf(low[n2, 1]), 1.0, low[n2, 1])
-    upper[n2, 3] = high[n2, 1]
-    # rho_s = k_n / R(0) follows n2, the other way round
-    ends = [
-        k_n / (((n - 1.0) / (n + 1.0)) ** 2)
-        for n in (np.minimum(high[n2, 1], 1e12), np.maximum(low[n2, 1], N2_MIN))
-    ]
-    lower[n2, 1] = np.where(k_n > 0.0, ends[0], np.where(np.isneginf(low[n2, 1]), -np.inf, ends[1]))
-    upper[n2, 1] = np.where(k_n > 0.0, np.where(np.isneginf(low[n2, 1]), np.inf, ends[1]), ends[0])
-    for column, rows in ((1, n2), (2, alpha), (3, n2)):
-        se[rows, column] = np.nan
-        covariance[rows, column, :] = covariance[rows, :, column] = np.nan
 
 
 def _condition(covariance: FloatArray) -> FloatArray:
@@ -241,5 +290,5 @@ def _condition(covariance: FloatArray) -> FloatArray:
     known = np.isfinite(variance) & (variance > 0.0)
     sd = np.sqrt(np.where(known, variance, 1.0))
     both = known[:, :, None] & known[:, None, :]
-    correlation = np.where(both, covariance / (sd[:, :, None] * sd[:, None, :]), np.eye(4))
+    correlation = np.where(both, covariance / (sd[:, :, None] * sd[:, None, :]), np.eye(covariance.shape[1]))
     return np.asarray(np.linalg.cond(np.where(np.isfinite(correlation), correlation, 0.0)))

@@ -2,32 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gonio.aperture import APERTURE_NAMES, Aperture, ApertureName
 from gonio.errors import FitError
-from gonio.fitting.assemble import assemble
-from gonio.fitting.covariance import CommonMode, leverage, without_common
-from gonio.fitting.noise import variance_function
-from gonio.fitting.problem import Problem
+from gonio.fitting.assemble import Setting, assemble
+from gonio.fitting.columns import BoolArray, FitModel, FloatArray
+from gonio.fitting.covariance import CommonMode
+from gonio.fitting.dispersion import Dispersion, dispersion_of
+from gonio.fitting.kinds import ModelName, model_named
 from gonio.fitting.result import FitResult, IntervalMethod, PolarizationChoice
-from gonio.fitting.solve import Solution, refine, start
+from gonio.fitting.robust import Loss
+from gonio.fitting.shared import Detectors
+from gonio.fitting.weighing import Used, WeightMethod, solve_weighed
 
 if TYPE_CHECKING:
     from gonio.store import Scan
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-WeightMethod = Literal["auto", "r_sd", "none"]
+N2Choice = str | float | ArrayLike
+"""``"free"``, a dispersion by name, one index, or one per wavelength."""
 
-FEWEST_READINGS = 8
-"""Readings a wavelength must have: four parameters and as many degrees of freedom for the noise."""
+_UNTOLD_N2 = 1.5  # stands in where one incidence and polarization cannot tell it
 
-_ROUNDS = 2  # of weights from residuals; more change neither the parameters nor the coverage
+_CHOICES: dict[str, tuple[str, ...]] = {
+    "aperture": APERTURE_NAMES,
+    "polarization": ("joint", "s", "p", "shared_n2"),
+    "weights": ("auto", "r_sd", "none"),
+    "intervals": ("wald", "nlparci"),
+    "loss": ("squares", "huber", "tukey"),
+}
 
 
 def fit(
@@ -35,10 +41,15 @@ def fit(
     *,
     aperture: ApertureName = "exact",
     polarization: PolarizationChoice = "joint",
+    model: ModelName = "published",
+    n2: N2Choice = "free",
     weights: WeightMethod = "auto",
+    loss: Loss = "squares",
     intervals: IntervalMethod = "wald",
+    detector_gain_u: ArrayLike = 0.0,
+    detector_offset_u: ArrayLike = 0.0,
 ) -> FitResult:
-    """Fit the published four-parameter lobe to a scan, each wavelength for itself.
+    """Fit a scattering model to a scan; as long as nothing is shared, each wavelength for itself.
 
     Parameters
     ----------
@@ -48,20 +59,32 @@ def fit(
         ``"exact"`` integrates the scan's aperture; ``"eq22"``, ``"point"`` and ``"published"`` are the
         paper's approximations, see `gonio.aperture.Aperture.variant`.
     polarization
-        ``"joint"`` fits S and P with common parameters, ``"s"`` or ``"p"`` one of them alone.
+        ``"joint"`` fits S and P with common parameters, ``"s"`` or ``"p"`` one of them alone,
+        ``"shared_n2"`` both with parameters of their own but for n2.
+    model
+        Its name; see `gonio.fitting.kinds`.
+    n2
+        ``"free"`` at every wavelength; ``"constant"``, ``"cauchy"``, ``"cauchy3"`` or ``"sellmeier"``: a
+        smooth function that all wavelengths share; a number, or (m,) numbers, known beforehand and held.
     weights
         ``"auto"``: from a variance function of the residuals (`gonio.fitting.noise`), begun with `scan.r_sd`
         where it is given; ``"r_sd"``: 1/r_sd^2 as it is; ``"none"``: all alike.  The covariance is scaled by
         chi2 per degree of freedom in each case.
+    loss
+        ``"squares"``; ``"huber"`` and ``"tukey"`` make outliers count less (`gonio.fitting.robust`).
     intervals
         ``"wald"``: 95 % by Student's t, alpha on its logarithm, common-mode uncertainties included,
         open-ended where the data give no bound.  ``"nlparci"``: exactly MATLAB's nlparci, which knows none of
         this, on unweighted residuals.
+    detector_gain_u, detector_offset_u
+        Standard uncertainties of each detector's gain (relative) and zero offset (in r), one for all or one
+        each: priors of a gain and an offset that are fitted with the rest, ``r = g model + o``.  Zero: exact.
 
     Raises
     ------
     FitError
-        No reading of that polarization, no wavelength with enough readings, or an unknown option.
+        No reading of that polarization, no wavelength with enough readings, an unknown option, or options
+        that the data cannot answer.
     """
     return fit_readings(
         scan.theta_i_deg,
@@ -76,8 +99,13 @@ def fit(
         offset_u=scan.offset_u,
         aperture=aperture,
         polarization=polarization,
+        model=model,
+        n2=n2,
         weights=weights,
+        loss=loss,
         intervals=intervals,
+        detector_gain_u=detector_gain_u,
+        detector_offset_u=detector_offset_u,
         sample_name=scan.sample_name,
     )
 
@@ -96,22 +124,35 @@ def fit_readings(
     offset_u: ArrayLike | None = None,
     aperture: ApertureName = "exact",
     polarization: PolarizationChoice = "joint",
+    model: ModelName = "published",
+    n2: N2Choice = "free",
     weights: WeightMethod = "auto",
+    loss: Loss = "squares",
     intervals: IntervalMethod = "wald",
+    detector_gain_u: ArrayLike = 0.0,
+    detector_offset_u: ArrayLike = 0.0,
     sample_name: str = "",
 ) -> FitResult:
     """Fit plain arrays: (n,) angles in degrees, (n,) ``"s"``/``"p"``, (n, m) readings, NaN for none.
 
     `r_sd`, `gain_u`, `offset_u` broadcast to (n, m) and default to unknown; see `fit` and `gonio.store.Scan`.
     """
-    if aperture not in APERTURE_NAMES:
-        raise FitError(f"aperture = {aperture!r} is not known; use one of {', '.join(APERTURE_NAMES)}")
-    if polarization not in ("joint", "s", "p"):
-        raise FitError(f"polarization = {polarization!r} is not known; use 'joint', 's' or 'p'")
-    if weights not in ("auto", "r_sd", "none"):
-        raise FitError(f"weights = {weights!r} is not known; use 'auto', 'r_sd' or 'none'")
-    if intervals not in ("wald", "nlparci"):
-        raise FitError(f"intervals = {intervals!r} is not known; use 'wald' or 'nlparci'")
+    given = {
+        "aperture": aperture, "polarization": polarization, "weights": weights, "intervals": intervals,
+        "loss": loss,
+    }  # fmt: skip
+    for option, value in given.items():
+        if value not in _CHOICES[option]:
+            known = ", ".join(repr(x) for x in _CHOICES[option])
+            raise FitError(f"{option} = {value!r} is not known; use one of {known}")
+    if intervals == "nlparci":
+        weights = "none"  # its covariance is mse (J'J)^-1
+        if loss != "squares" or not (isinstance(n2, str) and n2 == "free"):
+            raise FitError(
+                "intervals = 'nlparci' are MATLAB's, of plain least squares at each wavelength; "
+                "use 'wald' with a robust loss or an n2 that is given or shared"
+            )
+    kind = model_named(model, polarization)
     readings = np.atleast_2d(np.asarray(r, np.float64))
     n, m = readings.shape
     which = np.asarray(polarization_of, np.str_)
@@ -121,43 +162,56 @@ def fit_readings(
             f"the readings have {n} positions, but there are {theta_i.size} theta_i, {theta_o.size} "
             f"theta_o and {which.size} polarizations; give one of each per position"
         )
-    chosen = np.isin(which, ["s", "p"]) if polarization == "joint" else which == polarization
-    if not np.any(chosen):
-        have = ", ".join(sorted(set(which.tolist()))) or "none"
-        raise FitError(f"polarization '{polarization}' was not measured; the scan has: {have}")
-    used = _Used.of(readings[chosen], _sized(r_sd, n, m)[chosen], weights, intervals)
-    problem = Problem.of(instrument.variant(aperture), theta_i[chosen], theta_o[chosen], which[chosen] == "s")
     detector = np.zeros(m, np.uint8) if detector_index is None else np.asarray(detector_index, np.uint8)
     wavelength = np.full(m, np.nan) if wavelength_nm is None else np.asarray(wavelength_nm, np.float64)
     if wavelength.shape != (m,) or detector.shape != (m,):
         raise FitError(
             f"the readings have {m} wavelengths, but wavelength_nm or detector_index do not; give {m} each"
         )
-    single = single_group(problem, used.use)
+    both = polarization in ("joint", "shared_n2")
+    chosen = np.isin(which, ["s", "p"]) if both else which == polarization
+    if not np.any(chosen):
+        have = ", ".join(sorted(set(which.tolist()))) or "none"
+        raise FitError(f"polarization '{polarization}' was not measured; the scan has: {have}")
+    used = Used.of(readings[chosen], _sized(r_sd, n, m)[chosen], weights, len(kind.parameters))
+    is_s = which[chosen] == "s"
+    bound = kind.of(instrument.variant(aperture), theta_i[chosen], theta_o[chosen], is_s)
+    begin = bound.start(used.y, used.first_weight)
+    form, begin, free, untold = _index(
+        kind, n2, begin, wavelength, used.columns,
+        _one_group(theta_i[chosen], is_s, used.use, separate=polarization == "shared_n2"),
+    )  # fmt: skip
     common = None
     if intervals == "wald":
         gain, offset = (np.nan_to_num(_sized(u, n, m)[chosen][:, used.columns]) for u in (gain_u, offset_u))
-        common = CommonMode(gain, offset) if np.any(gain) or np.any(offset) else None
-    solution, w = _solve(problem, used, single, detector, common)
+        common = CommonMode(gain, offset, is_s) if np.any(gain) or np.any(offset) else None
+    weighed = solve_weighed(bound, used, begin, free, detector[used.columns], common, loss)
     return assemble(
-        problem,
-        solution,
-        y=used.y,
-        w=w,
-        single=single,
-        columns=used.columns,
-        count=used.count,
+        bound,
+        kind,
+        weighed,
+        used,
+        free=free,
+        untold=untold,
         common=common,
-        wavelength_nm=wavelength,
-        detector_index=detector,
-        theta_o_deg=theta_o[chosen],
-        position=np.flatnonzero(chosen),
-        aperture=aperture,
-        polarization=polarization,
-        intervals=intervals,
-        weights=used.weights,
-        instrument=instrument,
-        sample_name=sample_name,
+        dispersion=form,
+        detectors=_detectors(detector_gain_u, detector_offset_u, detector),
+        setting=Setting(
+            wavelength_nm=wavelength,
+            detector_index=detector,
+            theta_i_deg=theta_i[chosen],
+            theta_o_deg=theta_o[chosen],
+            polarization_of=which[chosen],
+            position=np.flatnonzero(chosen),
+            model=model,
+            aperture=aperture,
+            polarization=polarization,
+            intervals=intervals,
+            weights=used.weights,
+            loss=loss,
+            instrument=instrument,
+            sample_name=sample_name,
+        ),
     )
 
 
@@ -165,91 +219,64 @@ def _sized(values: ArrayLike | None, n: int, m: int) -> FloatArray:
     return np.array(np.broadcast_to(np.nan if values is None else np.asarray(values, np.float64), (n, m)))
 
 
-@dataclass(frozen=True, slots=True)
-class _Used:
-    """The wavelengths that can be fitted: indices into all m, and their readings, weights and masks."""
-
-    columns: NDArray[np.intp]  # (k,)
-    count: NDArray[np.int64]  # (m,) usable readings of every wavelength
-    y: FloatArray  # (n, k), zero where unused
-    use: BoolArray  # (n, k)
-    first_weight: FloatArray  # (n, k)
-    weights: WeightMethod
-
-    @classmethod
-    def of(
-        cls, readings: FloatArray, r_sd: FloatArray, weights: WeightMethod, intervals: IntervalMethod
-    ) -> _Used:
-        if intervals == "nlparci" and weights != "none":
-            weights = "none"  # nlparci's covariance is mse (J'J)^-1
-        use = np.isfinite(readings)
-        known = np.isfinite(r_sd) & (r_sd > 0.0)
-        if weights == "r_sd":
-            use &= known
-        count = np.sum(use, axis=0)
-        columns = np.flatnonzero(count >= FEWEST_READINGS)
-        if not columns.size:
-            what = "readings with a standard deviation r_sd" if weights == "r_sd" else "usable readings"
-            raise FitError(
-                f"no wavelength has {FEWEST_READINGS} {what} (the best has {int(count.max(initial=0))}), the "
-                "fewest that determine four parameters and their noise; measure more positions"
-            )
-        use = use[:, columns]
-        whole = np.all(
-            known[:, columns] | ~use, axis=0
-        )  # r_sd for some readings only would misweigh the others
-        weigh = (weights != "none") & whole
-        variance = np.where(weigh & use, r_sd[:, columns], 1.0) ** 2
-        return cls(columns, count, np.where(use, readings[:, columns], 0.0), use, use / variance, weights)
+def _index(
+    kind: type[FitModel],
+    n2: N2Choice,
+    begin: FloatArray,
+    wavelength_nm: FloatArray,
+    columns: NDArray[np.intp],
+    one_group: BoolArray,
+) -> tuple[Dispersion | None, FloatArray, BoolArray, BoolArray]:
+    """Return the dispersion if any, where to begin, which shape parameters are free, where n2 is untold."""
+    free, untold = np.ones(begin.shape, bool), np.zeros(len(begin), bool)
+    chosen = n2 if isinstance(n2, str) else None
+    if "n2" not in kind.shape:
+        if chosen != "free":
+            raise FitError(f"model '{kind.name}' has no n2 to give or to share; leave n2 = 'free'")
+        return None, begin, free, untold
+    at = kind.shape.index("n2")
+    if chosen == "free":
+        free[one_group, at], untold = False, one_group
+        return None, np.where(~free, _UNTOLD_N2, begin), free, untold
+    if chosen is not None:
+        return dispersion_of(chosen, wavelength_nm[columns]), begin, free, untold
+    values = np.asarray(n2, np.float64)
+    if values.shape not in ((), wavelength_nm.shape):
+        raise FitError(f"n2 has the shape {values.shape}; give one number, or {wavelength_nm.size} of them")
+    values = np.broadcast_to(values, wavelength_nm.shape)[columns]
+    bad = np.flatnonzero(~((values >= kind.low[at]) & (values <= kind.high[at])))
+    if bad.size:
+        raise FitError(
+            f"n2 = {values[bad[0]]:g} at wavelength {wavelength_nm[columns[bad[0]]]:g} nm is outside "
+            f"{kind.low[at]:g}...{kind.high[at]:g}; correct it, or leave n2 = 'free'"
+        )
+    begin = begin.copy()
+    begin[:, at], free[:, at] = values, False
+    return None, begin, free, untold
 
 
-def _solve(
-    problem: Problem,
-    used: _Used,
-    single: BoolArray,
-    detector: NDArray[np.uint8],
-    common: CommonMode | None,
-) -> tuple[Solution, FloatArray]:
-    """Return the optimum and the final weights, (n, k)."""
-    w = used.first_weight
-    begin = start(problem, used.y, w)
-    solution = _refine(problem, used, w, begin, single)
-    if used.weights != "auto":
-        return solution, w
-    for _ in range(_ROUNDS):
-        model = problem.model(solution.basic)
-        lever = np.nan_to_num(leverage(problem, solution.basic, w), nan=0.0)
-        residual = np.where(used.use, used.y - model, 0.0)
-        if common is not None:
-            residual, _ = without_common(problem, solution.basic, w, residual, common)
-        squared = np.where(used.use, residual**2, 0.0) / np.maximum(1.0 - lever, 0.05)
-        # residuals of the size of the last digit are rounding, and all weigh alike
-        exact = np.sqrt(np.max(squared, axis=0)) < 1e-11 * np.max(np.abs(used.y), axis=0)
-        if np.all(exact):
-            break
-        variance = variance_function(squared, model, used.use, detector[used.columns])
-        w = np.where(used.use, np.where(exact, 1.0, 1.0 / np.where(variance > 0.0, variance, 1.0)), 0.0)
-        solution = _refine(problem, used, w, solution.basic[:, 2:], single)
-    return solution, w
+def _one_group(theta_i_deg: FloatArray, is_s: BoolArray, use: BoolArray, *, separate: bool) -> BoolArray:
+    """Return where all used readings share one incidence (to half a degree) and polarization, (k,).
 
-
-def _refine(problem: Problem, used: _Used, w: FloatArray, begin: FloatArray, single: BoolArray) -> Solution:
-    """Refine, with n2 held at 1.5 where a single incidence and polarization cannot tell it."""
-    if not np.any(single):
-        return refine(problem, used.y, w, begin)
-    begin = np.where(single[:, None] & np.array([False, True]), 1.5, begin)
-    basic, chi2, converged = np.empty((len(begin), 4)), np.empty(len(begin)), np.empty(len(begin), bool)
-    for part, free in ((single, (True, False)), (~single, (True, True))):
-        rows = np.flatnonzero(part)
-        if rows.size:
-            s = refine(problem, used.y[:, rows], w[:, rows], begin[rows], free=free)
-            basic[rows], chi2[rows], converged[rows] = s.basic, s.chi2, s.converged
-    return Solution(basic, chi2, converged)
-
-
-def single_group(problem: Problem, use: BoolArray) -> BoolArray:
-    """Return where all used readings share one incidence (to half a degree) and polarization, (k,)."""
-    theta = np.where(use, problem.theta_i_deg[:, None], np.nan)
+    With `separate` surfaces for S and P their contrast tells nothing: one incidence is enough.
+    """
+    theta = np.where(use, theta_i_deg[:, None], np.nan)
     one_incidence = np.nanmax(theta, axis=0) - np.nanmin(theta, axis=0) < 0.5
-    s = np.sum(use & problem.is_s[:, None], axis=0)
+    if separate:
+        return np.asarray(one_incidence)
+    s = np.sum(use & is_s[:, None], axis=0)
     return np.asarray(one_incidence & ((s == 0) | (s == np.sum(use, axis=0))))
+
+
+def _detectors(gain_u: ArrayLike, offset_u: ArrayLike, detector: NDArray[np.uint8]) -> Detectors | None:
+    """Return the priors of d detectors; None if all are exact."""
+    count = 1 + int(detector.max(initial=0))
+    arrays = []
+    for name, values in (("detector_gain_u", gain_u), ("detector_offset_u", offset_u)):
+        u = np.asarray(values, np.float64)
+        if u.shape not in ((), (count,)):
+            raise FitError(f"{name} has {u.size} numbers; give one, or one for each of {count} detectors")
+        if not np.all(np.isfinite(u) & (u >= 0.0)):
+            raise FitError(f"{name} = {u} must be standard uncertainties of at least 0; correct them")
+        arrays.append(np.broadcast_to(u, (count,)).astype(np.float64))
+    return Detectors(*arrays) if np.any(arrays) else None

@@ -15,7 +15,7 @@ import numpy as np
 import gonio
 from gonio.aperture import Aperture
 from gonio.errors import StoreError
-from gonio.fitting.result import PARAMETERS, FitResult
+from gonio.fitting.result import FitResult
 from gonio.store.checked import Checked
 from gonio.store.read import opened
 
@@ -26,13 +26,16 @@ _NAME = re.compile(r"[A-Za-z0-9_]+")
 _ARRAYS: tuple[tuple[str, str, str], ...] = (
     ("wavelength_nm", "nm", "set wavelength"),
     ("detector_index", "", "index into the instrument's detectors"),
-    ("value", "", "rho_d, rho_s, alpha, n2 of the published lobe"),
+    ("value", "", "the parameters, in the order of their names"),
     ("se", "", "standard uncertainty of value"),
     ("lower", "", "lower end of the 95 % interval"),
     ("upper", "", "upper end of the 95 % interval"),
     ("covariance", "", "covariance of value"),
-    ("basic", "", "rho_d, k_n = rho_s R(0), ln(alpha), n2"),
+    ("basic", "", "the fit's own parameters, such as rho_d, k_n = rho_s R(0), ln(alpha), n2"),
     ("basic_covariance", "", "covariance of basic"),
+    ("modes", "", "shifts of basic by one standard uncertainty of each cause that wavelengths share"),
+    ("shared_value", "", "coefficients of n2, gains minus 1 and offsets that wavelengths share"),
+    ("shared_covariance", "", "covariance of shared_value"),
     ("chi2", "", "weighted sum of squared residuals"),
     ("dof", "", "degrees of freedom"),
     ("rms", "", "root mean square residual of r"),
@@ -42,6 +45,9 @@ _ARRAYS: tuple[tuple[str, str, str], ...] = (
     ("theta_i_deg", "deg", "incidence"),
     ("theta_o_deg", "deg", "observation angle from the normal, positive on the specular side"),
 )
+_NAMES = ("parameters", "mode_names", "shared_names")
+_LATER: tuple[str, ...] = ("modes", "shared_value", "shared_covariance")
+"""Fields that fits of earlier versions lack; they shared nothing."""
 
 
 def save_fit(fit: FitResult, path: Path | str, name: str | None) -> str:
@@ -111,15 +117,17 @@ def _write(group: Any, fit: FitResult) -> None:
         "program": "gonio",
         "version": gonio.__version__,
         "date": datetime.datetime.now(datetime.UTC).isoformat(),
-        "model": "published lobe",
+        "model": fit.model,
         "aperture": fit.aperture,
         "polarization": fit.polarization,
         "intervals": fit.intervals,
         "weights": fit.weights,
+        "loss": fit.loss,
         "sample_name": fit.sample_name,
     }.items():
         group.create_dataset(key, data=text, dtype=_TEXT)
-    group.create_dataset("parameters", data=list(PARAMETERS), dtype=_TEXT)
+    for field in _NAMES:
+        group.create_dataset(field, data=list(getattr(fit, field)), dtype=_TEXT)
     group.create_dataset("notes", data=list(fit.notes), dtype=_TEXT)
     group.create_dataset("polarization_of", data=[str(p) for p in fit.polarization_of], dtype=_TEXT)
     for field, unit, quantity in _ARRAYS:
@@ -133,9 +141,23 @@ def _write(group: Any, fit: FitResult) -> None:
 
 def _read(group: Any, where: str) -> FitResult:
     try:
+        old = "loss" not in group  # before a fit could share anything, or have another model
+        count = len(group["parameters"])
+        arrays: dict[str, Any] = {
+            field: group[field][()] for field, _, _ in _ARRAYS if not (old and field in _LATER)
+        }
+        if old:
+            nothing = np.zeros((0, len(group["value"]), count))
+            arrays |= dict(zip(_LATER, (nothing, np.zeros(0), np.zeros((0, 0))), strict=True))
+        names: dict[str, Any] = {
+            field: () if old and field != "parameters" else tuple(group[field].asstr()[()])
+            for field in _NAMES
+        }
         return FitResult(
-            **{field: group[field][()] for field, _, _ in _ARRAYS},
-            parameters=PARAMETERS,
+            **arrays,
+            **names,
+            model="published" if old else _text(group["model"]),
+            loss="squares" if old else _text(group["loss"]),  # type: ignore[arg-type]
             notes=tuple(group["notes"].asstr()[()]),
             polarization_of=np.asarray(group["polarization_of"].asstr()[()], np.str_),
             aperture=_text(group["aperture"]),  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""What do the data not determine?  Open-ended intervals, missing lobes, and a sentence for each."""
+"""What do the data not determine?  Open-ended intervals, and lobes that are not there."""
 
 from __future__ import annotations
 
@@ -8,29 +8,42 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from gonio.fitting.problem import Problem
-from gonio.fitting.solve import HIGH, LOW, Solution, refine
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from gonio.fitting.columns import BoolArray, FitModel, FloatArray
+from gonio.fitting.solve import Solution, refine
 
 _NO_LOBE_P = 1e-4  # chance that noise alone looks like a lobe, before the search over its shape
 _NEAR = 4.0  # standard errors within which a bound is examined by profile
 _BISECTIONS = 18
 
 
+def is_lobe(name: str) -> bool:
+    """Whether a basic parameter is the strength of a lobe, and not of the diffuse part."""
+    return name.startswith(("k_n", "rho_s"))
+
+
+def diffuse_only(model: FitModel, y: FloatArray, w: FloatArray, basic: FloatArray) -> FloatArray:
+    """Return the best fit without a lobe, (m, p): lobe coefficients zero, shape parameters as given."""
+    count = len(model.linear)
+    columns = model.columns(basic[:, count:]).value
+    kept = [k for k, name in enumerate(model.linear) if not is_lobe(name)]
+    phi = [np.broadcast_to(columns[k], y.shape) for k in kept]
+    normal = np.stack([[np.sum(w * a * b, axis=0) for b in phi] for a in phi]).transpose(2, 0, 1)
+    right = np.stack([np.sum(w * a * y, axis=0) for a in phi], axis=1)
+    found = basic.copy()
+    found[:, :count] = 0.0
+    found[:, kept] = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
+    return found
+
+
 def lobe_is_seen(
-    y: FloatArray, w: FloatArray, diffuse: FloatArray, chi2: FloatArray, dof: FloatArray
+    y: FloatArray, w: FloatArray, diffuse_chi2: FloatArray, chi2: FloatArray, dof: FloatArray, count: int
 ) -> BoolArray:
     """Return where the lobe improves on a purely diffuse fit by more than noise can, (m,).
 
-    An F test of three parameters at 1e-4.  Without a lobe, alpha and n2 are undefined and the test's
-    distribution is not exactly F, since the shape is searched for: hence the low level.
+    An F test of the lobe's `count` parameters at 1e-4.  Without a lobe, alpha and n2 are undefined and the
+    test's distribution is not exactly F, since the shape is searched for: hence the low level.
     """
-    d = diffuse[:, None]
-    rho = np.sum(w * d * y, axis=0) / np.sum(w * d * d, axis=0)
-    diffuse_chi2 = np.sum(w * (y - d * rho) ** 2, axis=0)
-    needed = 3.0 * special.fdtri(3.0, dof, 1.0 - _NO_LOBE_P) * chi2 / dof
+    needed = count * special.fdtri(float(count), dof, 1.0 - _NO_LOBE_P) * chi2 / dof
     # rounding: a noiseless Lambertian surface leaves chi2 of the order of the last digit
     rounding = 1e-26 * np.sum(w * y * y, axis=0)
     return np.asarray(diffuse_chi2 - chi2 > needed + rounding)
@@ -45,45 +58,49 @@ class Limits:
 
 
 def profile_limits(
-    problem: Problem,
+    model: FitModel,
     y: FloatArray,
     w: FloatArray,
     solution: Solution,
     *,
-    column: int,
+    shape: int,
+    free: BoolArray,
     se: FloatArray,
     variance_scale: FloatArray,
     quantile: FloatArray,
 ) -> Limits:
-    """Return profile-likelihood limits of log_alpha (column 0) or n2 (column 1) where a bound is near.
+    """Return profile-likelihood limits of a shape parameter, by its number, where a bound is near.
 
     A wavelength is examined if the bound of the search range lies within four standard errors, or there is no
     standard error.  If the data accept the bound itself, ``chi2(bound) - chi2 <= t^2 s^2``, that side is open
-    (±inf), and the other end is found by bisection of the profile.
+    (±inf), and the other end is found by bisection of the profile.  `free` (m, k) are the shape parameters
+    that the fit was free to choose.
     """
-    at = solution.basic[:, 2 + column]
-    near = ~(at - _NEAR * se > LOW[column]) | ~(at + _NEAR * se < HIGH[column])
+    low, high = model.low[shape], model.high[shape]
+    at = solution.basic[:, len(model.linear) + shape]
+    near = (~(at - _NEAR * se > low) | ~(at + _NEAR * se < high)) & free[:, shape]
     lower, upper = np.full(at.shape, np.nan), np.full(at.shape, np.nan)
     rows = np.flatnonzero(near)
     if not rows.size:
         return Limits(lower, upper)
-    y, w, optimum = y[:, rows], w[:, rows], solution.basic[rows, 2:]
+    y, w, optimum = y[:, rows], w[:, rows], solution.basic[rows, len(model.linear) :]
     allowed = solution.chi2[rows] + quantile[rows] ** 2 * variance_scale[rows]
-    free = (column == 1, column == 0)
+    others = free[rows].copy()
+    others[:, shape] = False
 
     def accepted(value: FloatArray, pick: NDArray[np.intp]) -> BoolArray:
         begin = optimum[pick].copy()
-        begin[:, column] = value
-        return refine(problem, y[:, pick], w[:, pick], begin, free=free).chi2 <= allowed[pick]
+        begin[:, shape] = value
+        return refine(model, y[:, pick], w[:, pick], begin, free=others[pick]).chi2 <= allowed[pick]
 
     everything = np.arange(rows.size)
-    open_low = accepted(np.full(rows.size, LOW[column]), everything)
-    open_high = accepted(np.full(rows.size, HIGH[column]), everything)
+    open_low = accepted(np.full(rows.size, low), everything)
+    open_high = accepted(np.full(rows.size, high), everything)
     examined = open_low | open_high
-    for is_open, bound, ends, away in ((open_low, LOW, lower, -np.inf), (open_high, HIGH, upper, np.inf)):
+    for is_open, bound, ends, away in ((open_low, low, lower, -np.inf), (open_high, high, upper, np.inf)):
         ends[rows[is_open]] = away
         pick = np.flatnonzero(examined & ~is_open)
-        inside, outside = optimum[pick, column].copy(), np.full(pick.size, bound[column])
+        inside, outside = optimum[pick, shape].copy(), np.full(pick.size, bound)
         for _ in range(_BISECTIONS if pick.size else 0):
             middle = 0.5 * (inside + outside)
             good = accepted(middle, pick)

@@ -17,7 +17,7 @@ _BY_CHANCE = 4.0  # standard errors; so far off is no chance, even at one wavele
 
 def write_notes(found: Findings, position: NDArray[np.intp]) -> list[str]:
     """Return one text per fitted wavelength, parts joined by "; "; `position` (n,) numbers the positions."""
-    scale = np.sqrt(found.chi2 / found.dof)
+    scale = np.sqrt(found.scale)
     with np.errstate(invalid="ignore", divide="ignore"):
         deviation = np.abs(found.residual) / (found.sigma * scale)
     rounding = np.nanmax(np.abs(found.residual), axis=0) < 1e-11 * np.abs(found.basic[:, 0])
@@ -30,7 +30,6 @@ def write_notes(found: Findings, position: NDArray[np.intp]) -> list[str]:
 def _of(
     found: Findings, k: int, position: NDArray[np.intp], deviation: NDArray[np.float64], rounding: bool
 ) -> list[str]:
-    rho_d, rho_s = found.value[k, :2]
     parts: list[str] = []
     if not found.converged[k]:
         parts.append("the search did not converge")
@@ -38,19 +37,24 @@ def _of(
         parts.append("no lobe is seen above the noise: fitted as Lambertian, alpha and n2 are undefined")
     else:
         parts.extend(_shape_notes(found, k))
-        if rho_s < 0.0:
-            parts.append(f"rho_s = {rho_s:.3g} is negative, unphysical: a dip where the lobe should be")
-        elif np.isfinite(rho_s) and rho_s - _BY_CHANCE * found.se[k, 1] > 1.0:
-            parts.append(
-                f"rho_s = {rho_s:.3g} is above 1, unphysical: more light in the lobe than n2 lets reflect"
-            )
-    rho_d_margin = _BY_CHANCE * found.se[k, 0]
-    if rho_d + rho_d_margin < 0.0:
-        parts.append(f"rho_d = {rho_d:.3g} is negative, unphysical: look at the dark readings")
-    if rho_d - rho_d_margin > 1.0:
-        parts.append(
-            f"rho_d = {rho_d:.3g} is above 1, unphysical: look at the baseline and the aperture's distance"
-        )
+    for column, name in enumerate(found.names):
+        value, margin = found.value[k, column], _BY_CHANCE * found.se[k, column]
+        if name.startswith("rho_s") and found.lobe[k]:
+            if value < 0.0:
+                parts.append(f"{name} = {value:.3g} is negative, unphysical: a dip where the lobe should be")
+            elif np.isfinite(value) and value - margin > 1.0:
+                parts.append(
+                    f"{name} = {value:.3g} is above 1, unphysical: more light in the lobe than n2 lets "
+                    "reflect"
+                )
+        if name.startswith("rho_d"):
+            if value + margin < 0.0:
+                parts.append(f"{name} = {value:.3g} is negative, unphysical: look at the dark readings")
+            if value - margin > 1.0:
+                parts.append(
+                    f"{name} = {value:.3g} is above 1, unphysical: look at the baseline and the aperture's "
+                    "distance"
+                )
     outliers = np.flatnonzero(deviation > _OUTLIER)
     if outliers.size and not rounding:
         worst = outliers[np.argsort(-deviation[outliers])][:3]
@@ -61,29 +65,48 @@ def _of(
 
 def _shape_notes(found: Findings, k: int) -> list[str]:
     parts: list[str] = []
-    if found.single[k]:
+    if found.untold[k]:
         parts.append(
             "one incidence and one polarization tell only rho_s R(theta_i): rho_s and n2 are undetermined, "
             "measure another incidence or polarization"
         )
-    low, high = found.lower[k, 2], found.upper[k, 2]
-    if np.isposinf(high) and low <= 0.0:
-        parts.append("alpha is not determined")
-    elif np.isposinf(high):
-        parts.append(f"alpha >= {low:.3g} (95 %): a narrower lobe would look the same through this aperture")
-    elif low <= 0.0:
-        parts.append(f"alpha <= {high:.3g} (95 %): the lobe is so wide that it looks diffuse")
-    low, high = found.lower[k, 3], found.upper[k, 3]
+    for column, name in enumerate(found.names):
+        low, high = found.lower[k, column], found.upper[k, column]
+        if name.startswith(("alpha", "roughness")):
+            parts.extend(_width_note(name, float(low), float(high)))
+        elif name == "n2":
+            parts.extend(_index_note(float(low), float(high)))
+    if "n2" not in found.names:
+        return parts
+    index = found.names.index("n2")
+    for column, name in enumerate(found.names):
+        variance = found.covariance[k, column, column] * found.covariance[k, index, index]
+        if name.startswith("rho_s") and variance > 0.0:
+            correlation = found.covariance[k, column, index] / np.sqrt(variance)
+            if abs(correlation) > _INSEPARABLE:
+                parts.append(f"{name} and n2 are hardly separable (correlation {correlation:.3f})")
+    return parts
+
+
+def _width_note(name: str, low: float, high: float) -> list[str]:
+    """Say where the width of a lobe has no bound; a large alpha is a narrow lobe."""
+    narrow, wide = np.isposinf(high), low <= 0.0
+    if narrow and wide:
+        return [f"{name} is not determined"]
+    if not narrow and not wide:
+        return []
+    bound = f"{name} >= {low:.3g} (95 %)" if narrow else f"{name} <= {high:.3g} (95 %)"
+    if narrow == name.startswith("alpha"):
+        return [f"{bound}: a narrower lobe would look the same through this aperture"]
+    return [f"{bound}: the lobe is so wide that it looks diffuse"]
+
+
+def _index_note(low: float, high: float) -> list[str]:
     open_low, open_high = low <= 1.0, np.isposinf(high)
     if open_low and open_high:
-        parts.append("n2 and rho_s are not determined, only their product rho_s R")
-    elif open_low:
-        parts.append(f"n2 <= {high:.3g} (95 %), with no lower bound but 1: rho_s has no upper bound")
-    elif open_high:
-        parts.append(f"n2 >= {low:.3g} (95 %) without an upper bound")
-    variance = found.covariance[k, 1, 1] * found.covariance[k, 3, 3]
-    if variance > 0.0:
-        correlation = found.covariance[k, 1, 3] / np.sqrt(variance)
-        if abs(correlation) > _INSEPARABLE:
-            parts.append(f"rho_s and n2 are hardly separable (correlation {correlation:.3f})")
-    return parts
+        return ["n2 and rho_s are not determined, only their product rho_s R"]
+    if open_low:
+        return [f"n2 <= {high:.3g} (95 %), with no lower bound but 1: rho_s has no upper bound"]
+    if open_high:
+        return [f"n2 >= {low:.3g} (95 %) without an upper bound"]
+    return []

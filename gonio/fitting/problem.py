@@ -62,7 +62,7 @@ class Problem:
         return cls(
             theta_i_deg,
             is_s,
-            receiver.diffuse_integral(theta_o_deg),
+            receiver.diffuse_integral(theta_o_deg, theta_i_deg),
             LobeTable.of(receiver, theta_i_deg, theta_o_deg),
             index.ravel(),
             tuple((float(theta), bool(s)) for theta, s in pairs.T),

@@ -13,16 +13,17 @@ from scipy import special
 
 from gonio import fresnel
 from gonio.aperture import Aperture, ApertureName
-from gonio.brdf.models import lobe_above_horizon, lobe_above_horizon_dlog_alpha
-from gonio.fitting.problem import Problem
+from gonio.fitting.columns import FitModel, readings
+from gonio.fitting.kinds import coefficient_slopes, coefficients, model_named
+from gonio.fitting.limits import is_lobe
+from gonio.fitting.robust import Loss
 from gonio.overlap import home
 
 FloatArray = NDArray[np.float64]
 ApertureModel = ApertureName
-PolarizationChoice = Literal["joint", "s", "p"]
+PolarizationChoice = Literal["joint", "s", "p", "shared_n2"]
 IntervalMethod = Literal["wald", "nlparci"]
 
-PARAMETERS = ("rho_d", "rho_s", "alpha", "n2")
 CONFIDENCE = 0.95
 _PER_WAVELENGTH = (
     "wavelength_nm", "detector_index", "value", "se", "lower", "upper", "covariance", "basic",
@@ -58,29 +59,47 @@ class Hemispherical:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitResult:
-    """Four parameters at m wavelengths, from n positions.
+    """p parameters of a model at m wavelengths, from n positions.
 
     Attributes
     ----------
-    wavelength_nm, detector_index : (m,)
-    parameters : names of the columns of `value`
-    value, se, lower, upper : (m, 4); NaN where the data do not determine a parameter (see `notes`), infinite
-    or 0
-        where they bound it on one side only
-    covariance : (m, 4, 4) of `value`: random part and common-mode part
-    basic, basic_covariance : (m, 4), (m, 4, 4), the same result as (rho_d, k_n, log_alpha, n2) with
-        ``k_n = rho_s R(0)``; these stay finite where `rho_s` does not
-    chi2, dof : (m,), weighted sum of squared residuals and degrees of freedom; ``chi2 / dof`` has scaled
-    `covariance` rms : (m,), root mean square residual, in r condition : (m,), condition number of the
-    correlation matrix of `value` notes : m texts, empty where there is nothing to say residual : (n, m), data
-    minus fit, in r; NaN where a reading was not used sigma : (n, m), standard deviation of a reading that the
-    weights stand for, before scaling by chi2 theta_i_deg, theta_o_deg, polarization_of : (n,), the positions
-    that were fitted
+    wavelength_nm, detector_index
+        (m,)
+    parameters
+        Names of the columns of `value`.
+    value, se, lower, upper
+        (m, p); NaN where the data do not determine a parameter (see `notes`), infinite or 0 where they bound
+        it on one side only.
+    covariance
+        (m, p, p) of `value`: random part and common-mode part.
+    basic, basic_covariance
+        (m, p), (m, p, p), the same result in the fit's own parameters, such as (rho_d, k_n, log_alpha, n2)
+        with ``k_n = rho_s R(0)``; these stay finite where `rho_s` does not.
+    modes, mode_names
+        (g, m, p): the part of `basic_covariance` that wavelengths share, as shifts of `basic` by one standard
+        uncertainty of each of g independent causes.
+    shared_names, shared_value, shared_covariance
+        (g,), (g, g): coefficients of a common n2, gains (minus 1) and offsets of detectors.
+    chi2, dof
+        (m,), weighted sum of squared residuals and degrees of freedom; ``chi2 / dof`` has scaled
+        `covariance`.
+    rms
+        (m,), root mean square residual, in r.
+    condition
+        (m,), condition number of the correlation matrix of `value`.
+    notes
+        m texts, empty where there is nothing to say.
+    residual
+        (n, m), data minus fit, in r; NaN where a reading was not used.
+    sigma
+        (n, m), standard deviation of a reading that the weights stand for, before scaling by chi2.
+    theta_i_deg, theta_o_deg, polarization_of
+        (n,), the positions that were fitted.
     """
 
     wavelength_nm: FloatArray
     detector_index: NDArray[np.uint8]
-    parameters: tuple[str, str, str, str]
+    parameters: tuple[str, ...]
     value: FloatArray
     se: FloatArray
     lower: FloatArray
@@ -88,6 +107,11 @@ class FitResult:
     covariance: FloatArray
     basic: FloatArray
     basic_covariance: FloatArray
+    modes: FloatArray
+    mode_names: tuple[str, ...]
+    shared_names: tuple[str, ...]
+    shared_value: FloatArray
+    shared_covariance: FloatArray
     chi2: FloatArray
     dof: NDArray[np.int64]
     rms: FloatArray
@@ -98,12 +122,25 @@ class FitResult:
     theta_i_deg: FloatArray
     theta_o_deg: FloatArray
     polarization_of: NDArray[np.str_]
+    model: str
     aperture: ApertureModel
     polarization: PolarizationChoice
     intervals: IntervalMethod
     weights: str
+    loss: Loss
     instrument: Aperture
     sample_name: str = ""
+
+    @property
+    def kind(self) -> type[FitModel]:
+        """The fitted model's class."""
+        return model_named(self.model, self.polarization)
+
+    def of(self, parameter: str) -> NDArray[np.intp]:
+        """Return the columns of `value` of a parameter: one, or those of S and P if each has its own."""
+        return np.array(
+            [k for k, name in enumerate(self.parameters) if name.partition("[")[0] == parameter], np.intp
+        )
 
     @property
     def incidences_deg(self) -> tuple[float, ...]:
@@ -142,54 +179,69 @@ class FitResult:
         known = np.isin(which, ["s", "p", "unpolarized"])
         if not np.all(known):
             raise fresnel.unknown_polarization(str(which[~known][0]))
+        s, p = which != "p", which != "s"
+        found = np.zeros((which.size, len(self.basic)))
+        # both at once: tabulating the lobe costs more per call than per position
+        is_s = np.concatenate([np.ones(int(np.sum(s)), bool), np.zeros(int(np.sum(p)), bool)])
+        at = np.concatenate([np.flatnonzero(s), np.flatnonzero(p)])
         receiver = self.instrument.variant(self.aperture)
-        is_s = which != "p"
-        basic = np.where(np.isfinite(self.basic), self.basic, [np.nan, np.nan, 1.0, 1.5])
-        r = Problem.of(receiver, theta_i, theta_o, is_s).model(basic)
-        mixed = which == "unpolarized"
-        if np.any(mixed):
-            other = Problem.of(receiver, theta_i[mixed], theta_o[mixed], np.zeros(int(np.sum(mixed)), bool))
-            r[mixed] = 0.5 * (r[mixed] + other.model(basic))
-        return r
+        basic, known = self._whole_basic()
+        if self.polarization == "shared_n2":  # its model needs both polarizations
+            at, is_s = np.concatenate([at, at[:1], at[:1]]), np.concatenate([is_s, [True, False]])
+        r = readings(self.kind.of(receiver, theta_i[at], theta_o[at], is_s), basic)
+        count = int(np.sum(s) + np.sum(p))
+        np.add.at(found, at[:count], r[:count])
+        found[s & p] *= 0.5
+        found[:, ~known] = np.nan
+        return found
+
+    def _whole_basic(self) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Return `basic` with stand-ins where there is no lobe or no index, and where there is a result."""
+        kind = self.kind
+        linear = len(kind.linear)
+        basic = self.basic.copy()
+        known = np.all(np.isfinite(basic[:, :linear]), axis=1)
+        middle = [1.5 if name == "n2" else 0.0 for name in kind.shape]
+        basic[:, linear:] = np.where(np.isfinite(basic[:, linear:]), basic[:, linear:], middle)
+        basic[~known, :linear] = 0.0
+        return basic, known
 
     def hemispherical(self, theta_i_deg: float = 8.0) -> Hemispherical:
         """Return k_d, k_s, k_g at an incidence, degrees, by the delta method with the full covariance."""
-        rho_d, k_n, log_alpha, n2 = self.basic.T
-        safe_n2, safe_a = np.where(np.isfinite(n2), n2, 1.5), np.where(np.isfinite(log_alpha), log_alpha, 0.0)
-        q = fresnel.reflectance_ratio(safe_n2, theta_i_deg, "unpolarized")
-        dq = fresnel.reflectance_ratio_dn2(safe_n2, theta_i_deg, "unpolarized")
-        kept = lobe_above_horizon(np.exp(safe_a), theta_i_deg)
-        dkept = lobe_above_horizon_dlog_alpha(np.exp(safe_a), theta_i_deg)
-        no_lobe = k_n == 0.0  # then k_g is k_d, and how much k_s may be is unknown
-        unknown = np.where(no_lobe | np.isfinite(n2), 0.0, np.nan)  # one incidence: k_s elsewhere is unknown
+        kind = self.kind
+        basic, known = self._whole_basic()
+        value = coefficients(kind, basic, theta_i_deg)
+        slope = coefficient_slopes(kind, basic, theta_i_deg)
+        linear = len(kind.linear)
+        lobes = [k for k, name in enumerate(kind.linear) if is_lobe(name)]
+        no_lobe = known & bool(lobes) & np.all(basic[:, lobes] == 0.0, axis=1)
+        untold = known & ~no_lobe & np.any(~np.isfinite(self.basic[:, linear:]), axis=1)
+        value[:, ~known] = np.nan
+        value[1:, untold] = np.nan  # one incidence: k_s elsewhere is unknown
 
-        def coefficient(diffuse: float, fraction: FloatArray, slope: FloatArray, lobe: float) -> Coefficient:
-            value, gradient = diffuse * rho_d, np.zeros_like(self.basic)
-            gradient[:, 0] = diffuse
-            if lobe:
-                value = value + k_n * q * fraction + unknown
-                shape = (
-                    np.stack([q * fraction, k_n * q * slope, k_n * dq * fraction], axis=1) + unknown[:, None]
-                )
-                gradient[:, 1:] = np.where(no_lobe[:, None], 0.0 if diffuse else np.nan, shape)
-            # what a coefficient does not depend on may be unknown
-            covariance = np.where(
-                gradient[:, :, None] * gradient[:, None, :] == 0.0, 0.0, self.basic_covariance
-            )
-            variance = np.einsum("ma,mab,mb->m", gradient, covariance, gradient)
-            se = np.sqrt(np.where(variance >= 0.0, variance, np.nan))
+        def coefficient(*parts: int) -> Coefficient:
+            total, gradient = np.sum(value[list(parts)], axis=0), np.sum(slope[list(parts)], axis=0)
+            if 0 in parts:  # then k_g is k_d ...
+                keep = [not is_lobe(name) for name in kind.linear] + [True] * len(kind.shape)
+                gradient = np.where(no_lobe[:, None] & ~np.array(keep), 0.0, gradient)
+            se = self._delta(gradient)
+            if 0 not in parts:  # ... and how much k_s may be is unknown
+                se = np.where(no_lobe, np.nan, se)
+            if parts != (0,):
+                se = np.where(untold, np.nan, se)
             half = self.quantile * se
-            return Coefficient(value, se, value - half, value + half)
+            return Coefficient(total, se, total - half, total + half)
 
-        one, zero = np.ones_like(kept), np.zeros_like(kept)
         return Hemispherical(
-            theta_i_deg,
-            coefficient(1.0, kept, dkept, 0.0),
-            coefficient(0.0, kept, dkept, 1.0),
-            coefficient(1.0, kept, dkept, 1.0),
-            coefficient(0.0, one, zero, 1.0),
-            coefficient(1.0, one, zero, 1.0),
+            theta_i_deg, coefficient(0), coefficient(1), coefficient(0, 1), coefficient(2), coefficient(0, 2)
         )
+
+    def _delta(self, gradient: FloatArray) -> FloatArray:
+        """Return the standard uncertainty of a function of `basic` with that gradient, (m, p)."""
+        # what a function does not depend on may be unknown
+        covariance = np.where(gradient[:, :, None] * gradient[:, None, :] == 0.0, 0.0, self.basic_covariance)
+        variance = np.einsum("ma,mab,mb->m", gradient, covariance, gradient)
+        return np.sqrt(np.where(variance >= 0.0, variance, np.nan))
 
     @property
     def home(self) -> NDArray[np.bool_]:
@@ -199,7 +251,7 @@ class FitResult:
     def only(self, columns: NDArray[np.bool_]) -> FitResult:
         """Return the result at some of the wavelengths, given as a mask (m,)."""
         along = {name: getattr(self, name)[columns] for name in _PER_WAVELENGTH}
-        across = {name: getattr(self, name)[:, columns] for name in ("residual", "sigma")}
+        across = {name: getattr(self, name)[:, columns] for name in ("residual", "sigma", "modes")}
         notes = tuple(note for note, keep in zip(self.notes, columns.tolist(), strict=True) if keep)
         return replace(self, **along, **across, notes=notes)
 

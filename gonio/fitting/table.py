@@ -21,7 +21,14 @@ BANDS = tuple(itertools.pairwise(_EDGES_NM))
 THETA_I_DEG = 8.0
 """Incidence of k_s and k_g in the table: the integrating sphere's."""
 
-_DIGITS = {"rho_d": 4, "rho_s": 3, "alpha": 1, "n2": 3, "k_d": 4, "k_s": 4, "k_g": 4}
+_DIGITS = {
+    "rho_d": 4, "rho_s": 3, "alpha": 1, "n2": 3, "roughness": 4, "k_d": 4, "k_s": 4, "k_g": 4,
+}  # fmt: skip
+
+
+def digits_of(name: str) -> int:
+    """Return the decimals of a parameter in tables; of ``rho_d[s]`` those of rho_d."""
+    return _DIGITS[name.partition("[")[0]]
 
 
 def band_table(
@@ -80,7 +87,7 @@ def _block(
     """Return the lines of the table of some columns."""
     names = list(columns)
     cells = [
-        [_entry(value[use], half[use], _DIGITS[name]) for name, (value, half) in columns.items()]
+        [_entry(value[use], half[use], digits_of(name)) for name, (value, half) in columns.items()]
         for _, use in rows
     ]
     width = [
@@ -101,7 +108,7 @@ def _block(
             for name, entry, w in zip(names, entries, width, strict=True):
                 known = _interpolated(truth, name, fit.wavelength_nm[use])
                 # under the value, not under its uncertainty
-                text = "" if known is None else f"{np.mean(known):.{_DIGITS[name]}f}"
+                text = "" if known is None else f"{np.mean(known):.{digits_of(name)}f}"
                 line += f"{text + ' ' * max(len(entry) - entry.find(' ± '), 0):>{w}}"
             lines.append(line.rstrip())
     return lines
