@@ -42,7 +42,7 @@ class LobeTable:
         angle = np.pi * (k + 0.5) / _DEGREE
         low, high = np.log(ALPHA_MIN), np.log(ALPHA_MAX)
         log_alpha = 0.5 * (low + high) + 0.5 * (high - low) * np.cos(angle)
-        values = receiver.lobe_table(np.exp(log_alpha), position[0] - position[1], position[1])
+        values = receiver.lobe_table(np.exp(log_alpha), position[0] - position[1], position[1], position[0])
         values = values / _growth(log_alpha, receiver.solid_angle_sr, receiver.lobe_growth)[0][:, None]
         c = 2.0 / _DEGREE * np.cos(np.outer(k, angle)) @ values
         c[0] *= 0.5

@@ -7,56 +7,24 @@ cos(t - delta) cos(psi)``, the angle to the normal ``cos(theta) = cos(theta_o + 
 aperture is ``|t| <= atan(w / 2R)``, ``|psi| <= psi_max(t) = atan(h cos(t) / 2R)``.  The sample plane, like
 the edge of cos_+, is a line of constant t: both cut the range of t and nothing else.
 
-`Aperture` integrates exactly.  `InPlaneAverage` (Eq 22 of Raybaud et al. 2022) and `PointReceiver` (Eq 18)
-are the approximations of that paper behind the same three methods, kept so that their bias can be shown.
+All light comes from one point here; `gonio.aperture.instrument` adds the beam's width and divergence.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Protocol, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gonio.angles import cos_deg
+from gonio.aperture.approximations import InPlaneAverage, PointReceiver
+from gonio.aperture.receiver import APERTURE_NAMES, ApertureName, FloatArray, Receiver
 from gonio.brdf.quadrature import across_integral, band_integral, band_integral_table, gauss_legendre
 from gonio.errors import ConfigError
 
-FloatArray = NDArray[np.float64]
-ApertureName = Literal["exact", "eq22", "point", "published"]
-APERTURE_NAMES: tuple[ApertureName, ...] = get_args(ApertureName)
-
 WIDEST_HALF_ANGLE_DEG = 45.0
 """Beyond this the fixed quadratures no longer keep 1e-12."""
-
-
-class Receiver(Protocol):
-    """What turns a dsf into the reading r: the exact aperture or one of its approximations."""
-
-    @property
-    def solid_angle_sr(self) -> float:
-        """The solid angle that multiplies a constant intensity."""
-        ...
-
-    @property
-    def lobe_growth(self) -> float:
-        """Exponent g of the peak reading, ``alpha^g``, for a lobe much narrower than the aperture."""
-        ...
-
-    def lobe_integral(
-        self, alpha: ArrayLike, delta_deg: ArrayLike, theta_o_deg: ArrayLike | None = None
-    ) -> FloatArray:
-        """Return the received part of ``(alpha + 1)/(2 pi) cos_+(theta_s)^alpha``."""
-        ...
-
-    def lobe_table(self, alpha: FloatArray, delta_deg: FloatArray, theta_o_deg: FloatArray) -> FloatArray:
-        """Return `lobe_integral` of every alpha with every position, (n_alpha, n_position)."""
-        ...
-
-    def diffuse_integral(self, theta_o_deg: ArrayLike) -> FloatArray:
-        """Return the received part of ``cos(theta)/pi``."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +76,11 @@ class Aperture:
         return 0.0
 
     def lobe_integral(
-        self, alpha: ArrayLike, delta_deg: ArrayLike, theta_o_deg: ArrayLike | None = None
+        self,
+        alpha: ArrayLike,
+        delta_deg: ArrayLike,
+        theta_o_deg: ArrayLike | None = None,
+        theta_i_deg: ArrayLike | None = None,
     ) -> FloatArray:
         """Return ∫ (alpha + 1)/(2 pi) cos_+(theta_s)^alpha dOmega over the aperture.
 
@@ -136,7 +108,13 @@ class Aperture:
         half_t = np.deg2rad(self.half_angles_deg[0])
         return band_integral(alpha, delta_deg, half_t, theta_o_deg, self._across)
 
-    def lobe_table(self, alpha: FloatArray, delta_deg: FloatArray, theta_o_deg: FloatArray) -> FloatArray:
+    def lobe_table(
+        self,
+        alpha: FloatArray,
+        delta_deg: FloatArray,
+        theta_o_deg: FloatArray,
+        theta_i_deg: FloatArray | None = None,
+    ) -> FloatArray:
         """Return `lobe_integral` of alpha (n_alpha,) at positions (n,), as (n_alpha, n), to 1e-13."""
         half_t = np.deg2rad(self.half_angles_deg[0])
         return band_integral_table(alpha, delta_deg, half_t, theta_o_deg, self._across)
@@ -144,7 +122,7 @@ class Aperture:
     def _across(self, alpha: FloatArray, t: FloatArray) -> FloatArray:
         return across_integral(alpha, self.height_mm / (2.0 * self.distance_mm) * np.cos(t))
 
-    def diffuse_integral(self, theta_o_deg: ArrayLike) -> FloatArray:
+    def diffuse_integral(self, theta_o_deg: ArrayLike, theta_i_deg: ArrayLike | None = None) -> FloatArray:
         """Return ∫ cos(theta)/pi dOmega over the part of the aperture above the sample plane.
 
         `theta_o_deg` may have any shape; an aperture wholly below the sample plane gives 0.  Across the plane
@@ -187,74 +165,3 @@ class Aperture:
         degrees.
         """
         return InPlaneAverage(13.0, 0.0516)
-
-
-@dataclass(frozen=True, slots=True)
-class InPlaneAverage:
-    """Eq 22: the dsf averaged over the in-plane angle only, times a solid angle."""
-
-    half_width_deg: float
-    solid_angle_sr: float
-
-    @property
-    def lobe_growth(self) -> float:
-        """One half: a lobe is averaged over one angle, and its peak grows with the other."""
-        return 0.5
-
-    def lobe_integral(
-        self, alpha: ArrayLike, delta_deg: ArrayLike, theta_o_deg: ArrayLike | None = None
-    ) -> FloatArray:
-        """Return Eq 22's lobe term; arguments as `Aperture.lobe_integral`."""
-        half = np.deg2rad(self.half_width_deg)
-        return band_integral(alpha, delta_deg, half, theta_o_deg, self._per_angle)
-
-    def lobe_table(self, alpha: FloatArray, delta_deg: FloatArray, theta_o_deg: FloatArray) -> FloatArray:
-        """Return `lobe_integral` of every alpha (n_alpha,) at every position (n,), as (n_alpha, n)."""
-        half = np.deg2rad(self.half_width_deg)
-        return band_integral_table(alpha, delta_deg, half, theta_o_deg, self._per_angle)
-
-    def _per_angle(self, alpha: FloatArray, t: FloatArray) -> FloatArray:
-        per_radian = self.solid_angle_sr / (2.0 * np.deg2rad(self.half_width_deg))
-        return np.broadcast_to(
-            per_radian * (alpha + 1.0) / (2.0 * np.pi), np.broadcast_shapes(alpha.shape, t.shape)
-        )
-
-    def diffuse_integral(self, theta_o_deg: ArrayLike) -> FloatArray:
-        """Return Eq 22's diffuse term, the in-plane mean of ``cos(theta)/pi`` above the sample plane."""
-        theta_o = np.asarray(theta_o_deg, np.float64)
-        low = np.clip(theta_o - self.half_width_deg, -90.0, 90.0)
-        high = np.clip(theta_o + self.half_width_deg, -90.0, 90.0)
-        # sin(high) - sin(low) without cancellation
-        area = 2.0 * cos_deg(0.5 * (low + high)) * np.sin(np.deg2rad(0.5 * (high - low)))
-        return np.asarray(self.solid_angle_sr / (2.0 * np.deg2rad(self.half_width_deg)) * area / np.pi)
-
-
-@dataclass(frozen=True, slots=True)
-class PointReceiver:
-    """Eq 18: the dsf at the detector's axis, times a solid angle."""
-
-    solid_angle_sr: float
-
-    @property
-    def lobe_growth(self) -> float:
-        """One: the reading at the peak is the peak itself."""
-        return 1.0
-
-    def lobe_integral(
-        self, alpha: ArrayLike, delta_deg: ArrayLike, theta_o_deg: ArrayLike | None = None
-    ) -> FloatArray:
-        """Return Eq 18's lobe term; arguments as `Aperture.lobe_integral`."""
-        a, delta = np.asarray(alpha, np.float64), np.asarray(delta_deg, np.float64)
-        log_cos = np.log1p(-2.0 * np.sin(np.deg2rad(0.5 * np.where(np.abs(delta) < 90.0, delta, 0.0))) ** 2)
-        lobe = np.where(np.abs(delta) < 90.0, np.exp(a * log_cos), np.where(np.isnan(delta), np.nan, 0.0))
-        if theta_o_deg is not None:
-            lobe = np.where(np.abs(np.asarray(theta_o_deg, np.float64)) < 90.0, lobe, 0.0)
-        return np.asarray(self.solid_angle_sr * (a + 1.0) / (2.0 * np.pi) * lobe)
-
-    def lobe_table(self, alpha: FloatArray, delta_deg: FloatArray, theta_o_deg: FloatArray) -> FloatArray:
-        """Return `lobe_integral` of every alpha (n_alpha,) at every position (n,), as (n_alpha, n)."""
-        return self.lobe_integral(alpha[:, None], delta_deg, theta_o_deg)
-
-    def diffuse_integral(self, theta_o_deg: ArrayLike) -> FloatArray:
-        """Return Eq 18's diffuse term, ``cos(theta_o)/pi``, zero below the sample plane."""
-        return np.asarray(self.solid_angle_sr * np.maximum(cos_deg(theta_o_deg), 0.0) / np.pi)
