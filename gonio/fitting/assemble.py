@@ -117,6 +117,7 @@ def assemble(
         basic_covariance=spread(found.basic_covariance),
         modes=spread(found.modes, axis=1),
         mode_names=() if shared is None else shared.mode_names,
+        remarks=() if shared is None else shared.remarks,
         shared_names=() if shared is None else shared.names,
         shared_value=np.zeros(0) if shared is None else shared.value,
         shared_covariance=np.zeros((0, 0)) if shared is None else shared.covariance,

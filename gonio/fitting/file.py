@@ -45,7 +45,7 @@ _ARRAYS: tuple[tuple[str, str, str], ...] = (
     ("theta_i_deg", "deg", "incidence"),
     ("theta_o_deg", "deg", "observation angle from the normal, positive on the specular side"),
 )
-_NAMES = ("parameters", "mode_names", "shared_names")
+_NAMES = ("parameters", "mode_names", "shared_names", "remarks")
 _LATER: tuple[str, ...] = ("modes", "shared_value", "shared_covariance")
 """Fields that fits of earlier versions lack; they shared nothing."""
 

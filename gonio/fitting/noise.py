@@ -23,6 +23,8 @@ NEIGHBOURS = 7
 """Wavelengths on each side whose residuals are pooled."""
 
 _FAR = 6.0  # residuals beyond so many standard deviations are no noise and do not widen the variance function
+_LEVELS = 12  # of the signal, between which medians of squared residuals are compared
+_MEDIAN = 0.45493642311957283  # of the square of a standard normal number
 _FLOOR = 1e-6  # of the mean variance; keeps weights finite where the fitted function touches zero
 
 
@@ -31,6 +33,8 @@ def variance_function(
     model: FloatArray,
     use: NDArray[np.bool_],
     detector_index: NDArray[np.integer],
+    *,
+    outliers: bool = False,
 ) -> FloatArray:
     """Return the variance of every reading.
 
@@ -44,6 +48,8 @@ def variance_function(
         (n, m) readings that took part.
     detector_index
         (m,); residuals are pooled among neighbours with the same index.
+    outliers
+        Whether a good part of the readings may be no measurements: it then begins with medians.
 
     Returns
     -------
@@ -59,6 +65,8 @@ def variance_function(
     total, count = np.sum(squared_residual * use, axis=0), np.sum(use, axis=0).astype(np.float64)
     pooled_mean = _pooled(total, detector_index) / np.maximum(_pooled(count, detector_index), 1.0)
     variance = np.broadcast_to(pooled_mean, level.shape)
+    if outliers:
+        variance = _from_medians(squared_residual, level, use)
     variance = np.maximum(variance, _FLOOR * mean)
     for _ in range(3):
         near = use & (squared_residual < _FAR**2 * variance)
@@ -68,6 +76,18 @@ def variance_function(
         c = _non_negative(_pooled(normal, detector_index), _pooled(right, detector_index))
         variance = np.maximum(np.einsum("ma,anm->nm", c, columns), _FLOOR * mean)
     return np.asarray(variance)
+
+
+def _from_medians(squared: FloatArray, level: FloatArray, use: NDArray[np.bool_]) -> FloatArray:
+    """Return a variance for every reading from the median of squares among those of like level."""
+    edges = np.quantile(level[use], np.linspace(0.0, 1.0, _LEVELS + 1)[1:-1])
+    step = np.searchsorted(edges, level)
+    variance = np.zeros_like(level)
+    for number in range(_LEVELS):
+        here = step == number
+        if np.any(here & use):
+            variance[here] = np.median(squared[here & use]) / _MEDIAN
+    return variance
 
 
 def _pooled(values: FloatArray, detector_index: NDArray[np.integer]) -> FloatArray:
@@ -94,6 +114,7 @@ def _non_negative(normal: FloatArray, right: FloatArray) -> FloatArray:
             c = np.linalg.solve(a, right[:, pick][:, :, None])[:, :, 0]
             gain = 0.5 * np.sum(c * right[:, pick], axis=1)
             better = np.all(c >= 0.0, axis=1) & (gain > value)
+            best[better] = 0.0  # what a smaller set had found
             best[np.flatnonzero(better)[:, None], pick] = c[better]
             value[better] = gain[better]
     return best

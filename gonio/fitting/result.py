@@ -89,6 +89,8 @@ class FitResult:
         (m,), condition number of the correlation matrix of `value`.
     notes
         m texts, empty where there is nothing to say.
+    remarks
+        Sentences on the fit as a whole.
     residual
         (n, m), data minus fit, in r; NaN where a reading was not used.
     sigma
@@ -117,6 +119,7 @@ class FitResult:
     rms: FloatArray
     condition: FloatArray
     notes: tuple[str, ...]
+    remarks: tuple[str, ...]
     residual: FloatArray
     sigma: FloatArray
     theta_i_deg: FloatArray

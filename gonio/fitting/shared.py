@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
 from gonio.errors import FitError
 from gonio.fitting.columns import BoolArray, FitModel, FloatArray, jacobian, readings
@@ -27,6 +28,8 @@ from gonio.fitting.solve import Solution, refine
 from gonio.overlap import pairs
 
 _ITERATIONS = 60
+_PRIOR_ONLY = 0.9  # of a prior's standard uncertainty: what is left of it says who told the value
+_MISFIT = 1e-3
 _DECREMENT = 1e-14  # of psi's step, in units of its own variance
 
 
@@ -55,6 +58,8 @@ class Shared:
         combinations of psi.
     gain, offset
         Of every wavelength's detector, (m,).
+    remarks
+        What a person must know of it, a sentence each.
     """
 
     names: tuple[str, ...]
@@ -65,6 +70,7 @@ class Shared:
     modes: FloatArray
     gain: FloatArray
     offset: FloatArray
+    remarks: tuple[str, ...]
 
     @property
     def mode_names(self) -> tuple[str, ...]:
@@ -273,7 +279,41 @@ class _Joint:
             np.moveaxis(response @ root, 2, 0),
             gain,
             offset,
+            (*self._values(psi, covariance), *self._misfit(separate, chi2)),
         )
+
+    def _values(self, psi: FloatArray, covariance: FloatArray) -> list[str]:
+        """Return psi in words."""
+        said = []
+        for k, (name, value, se) in enumerate(
+            zip(self.names, psi.tolist(), np.sqrt(np.diag(covariance)).tolist(), strict=True)
+        ):
+            gain = name.startswith("gain")
+            text = f"{name} = {value + gain:.6g} ± {se:.2g} (standard uncertainty)"
+            if k >= self.own and se > _PRIOR_ONLY * self.prior[k] ** -0.5:
+                text += ", as stated beforehand: the readings do not tell it"
+            said.append(text)
+        return said
+
+    def _misfit(self, separate: Solution, chi2: FloatArray) -> list[str]:
+        """Say whether the shared index costs more than chance: an F test of joint against separate fits."""
+        if self.form is None:
+            return []
+        use = np.any(self.free, axis=1) & separate.converged
+        extra = int(np.sum(use)) - self.own
+        dof = float(np.sum(self.dof[use]))
+        scale = separate.chi2[use] / np.maximum(self.dof[use], 1.0)
+        if extra <= 0 or not np.all(scale > 0.0):
+            return []
+        rise = float(np.sum(chi2[use] / scale - self.dof[use]))
+        chance = float(special.fdtrc(float(extra), dof, rise / extra)) if rise > 0.0 else 1.0
+        if chance > _MISFIT:
+            return []
+        return [
+            f"n2 = '{self.form.name}' does not follow the wavelengths: chi2 rises by {rise:.0f} where chance "
+            f"adds {extra} (p = {chance:.1g}), and the intervals do not know it; use a form with more "
+            "coefficients, or 'free'"
+        ]
 
     def _begin(self, separate: Solution, n2_se: FloatArray) -> FloatArray:
         """Return coefficients of n2 from the separate indices, or from the best single index."""
@@ -316,7 +356,7 @@ class _Joint:
                     low, high = self.model.low[-1], self.model.high[-1]
                     raise FitError(
                         f"n2 = '{self.form.name}' leaves the range {low:g}...{high:g} at some wavelength: "
-                        "these data do not follow that form; fit n2 = 'constant', or each wavelength for itself"
+                        "these data do not follow that form; fit n2 = 'constant', or 'free'"
                     )
                 return found, psi, total
             done = total - value <= 1e-12 * max(total, 1.0) and length == 1.0

@@ -73,6 +73,7 @@ def band_table(
     ratios = detector_ratios(whole)
     if ratios:
         lines += ["detectors where both measured:", *(f"  {ratio.text(detector_names)}" for ratio in ratios)]
+    lines.extend(f"  {remark}" for remark in whole.remarks)
     lines.extend(_remarks(whole))
     return "\n".join(lines)
 

@@ -86,9 +86,10 @@ def solve_weighed(
     w, factor = used.first_weight, np.ones_like(used.y)
     solution = refine(model, used.y, w, begin, free=free)
     count = len(model.linear)
-    if loss != "squares":
-        factor = _robust_factor(model, used, w, solution, loss)
-        solution = refine(model, used.y, w * factor, solution.basic[:, count:], free=free)
+    if loss != "squares":  # whose weights are not known yet: Huber's loss forgets no reading altogether
+        for _ in range(_ROUNDS):
+            factor = _robust_factor(model, used, w, solution, "huber")
+            solution = refine(model, used.y, w * factor, solution.basic[:, count:], free=free)
     for _ in range(_ROUNDS if used.weights == "auto" else 0):
         expected = readings(model, solution.basic)
         lever = np.nan_to_num(leverage(model, solution.basic, w), nan=0.0)
@@ -100,7 +101,7 @@ def solve_weighed(
         exact = np.sqrt(np.max(squared, axis=0)) < _TINY * np.max(np.abs(used.y), axis=0)
         if np.all(exact):
             break
-        variance = variance_function(squared, expected, used.use, detector)
+        variance = variance_function(squared, expected, used.use, detector, outliers=loss != "squares")
         w = np.where(used.use, np.where(exact, 1.0, 1.0 / np.where(variance > 0.0, variance, 1.0)), 0.0)
         if loss != "squares":
             factor = _robust_factor(model, used, w, solution, loss)
