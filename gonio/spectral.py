@@ -48,7 +48,8 @@ def photopic(wavelength_nm: ArrayLike) -> FloatArray:
 
     Linear between the values of ISO/CIE 11664-1 every 5 nm; what lies outside is 3e-6 of the whole.
     """
-    return np.interp(np.asarray(wavelength_nm, np.float64), _PHOTOPIC_NM, _PHOTOPIC, left=0.0, right=0.0)
+    at = np.asarray(wavelength_nm, np.float64)
+    return np.asarray(np.interp(at, _PHOTOPIC_NM, _PHOTOPIC, left=0.0, right=0.0))
 
 
 def am15g(wavelength_nm: ArrayLike) -> FloatArray:
@@ -57,7 +58,7 @@ def am15g(wavelength_nm: ArrayLike) -> FloatArray:
     The table is pvlib's; linear between its entries (0.5 nm apart below 400 nm, 1 nm to 1700 nm, then 5 nm).
     """
     nm, value = _am15g_table()
-    return np.interp(np.asarray(wavelength_nm, np.float64), nm, value, left=0.0, right=0.0)
+    return np.asarray(np.interp(np.asarray(wavelength_nm, np.float64), nm, value, left=0.0, right=0.0))
 
 
 @cache
@@ -124,9 +125,12 @@ def band_weights(
     Raises
     ------
     GonioError
-        Limits in the wrong order, a wavelength that is not known or there twice, an unknown or useless weight,
-        or a band that the scan covers too little of.
+        Limits in the wrong order, a wavelength that is not known or there twice, an unknown or useless
+        weight, or a band that the scan covers too little of.
     """
+    if weight not in WEIGHTS and not callable(weight):
+        known = ", ".join(repr(x) for x in WEIGHTS)
+        raise GonioError(f"weight = {weight!r} is not known; use one of {known}, or a function of nm")
     nm = np.asarray(wavelength_nm, np.float64)
     good = np.ones(nm.shape, bool) if use is None else np.asarray(use, bool)
     if not (np.isfinite(low_nm) and np.isfinite(high_nm) and 0.0 < low_nm < high_nm):
@@ -134,7 +138,9 @@ def band_weights(
             f"band {low_nm:g}...{high_nm:g} nm: two wavelengths in ascending order are needed; correct them"
         )
     if not np.all(np.isfinite(nm)):
-        raise GonioError("a band average needs the wavelengths, which this fit was not given; give them to it")
+        raise GonioError(
+            "a band average needs the wavelengths, which this fit was not given; give them to it"
+        )
     order = np.argsort(nm, kind="stable")
     at, good = nm[order], good[order]
     kept = np.concatenate([[True], np.diff(at) > 0.0]) if at.size else np.zeros(0, bool)
@@ -161,8 +167,8 @@ def band_weights(
             )
         raise GonioError(
             f"band {low_nm:g}...{high_nm:g} nm: the results ({have}) cover {100.0 * max(part, 0.0):.1f} % of "
-            f"the weight {_name(weight)} there, less than the {100.0 * least_coverage:g} % required; choose a "
-            "band inside, or give a smaller least_coverage and state it"
+            f"the weight {_name(weight)} there, less than the {100.0 * least_coverage:g} % required; choose "
+            "a band inside, or give a smaller least_coverage and state it"
         )
     inside = bridged & (at[1:] > low_nm) & (at[:-1] < high_nm)
     spread = np.zeros(nm.shape)
@@ -207,14 +213,12 @@ def _weight_at(weight: Weight, nm: FloatArray) -> FloatArray:
         return photopic(nm)
     if weight == "flat":
         return np.ones_like(nm)
-    if not callable(weight):
-        known = ", ".join(repr(x) for x in WEIGHTS)
-        raise GonioError(f"weight = {weight!r} is not known; use one of {known}, or a function of nm")
     value = np.array(np.broadcast_to(np.asarray(weight(nm), np.float64), nm.shape))
     if not np.all(np.isfinite(value) & (value >= 0.0)):
         bad = int(np.argmax(~(np.isfinite(value) & (value >= 0.0))))
         raise GonioError(
-            f"the weight is {value[bad]:g} at {nm[bad]:g} nm; it must be a number of at least 0 all over the band"
+            f"the weight is {value[bad]:g} at {nm[bad]:g} nm; it must be a number of at least 0 all over "
+            "the band"
         )
     return value
 
@@ -233,7 +237,7 @@ def _whole(weight: Weight) -> float | None:
 def _integrated(
     at: FloatArray, bridged: BoolArray, knots: FloatArray, value: FloatArray
 ) -> tuple[FloatArray, float]:
-    """Return ∫ w h_j (m,) over the covered part and their sum; w is linear between knots: Simpson is exact."""
+    """Return ∫ w h_j (m,) over the covered part and their sum; w is linear between knots, Simpson exact."""
     share = np.zeros(at.size)
     if at.size < 2 or knots.size < 2:
         return share, 0.0
