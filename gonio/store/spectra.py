@@ -2,7 +2,8 @@
 
 A CSV file has one header line; the first column is the wavelength, and the unit is the end of a name
 after an underscore (``wavelength_nm``, ``theta_i_deg``), none for a ratio (``k_g``).  Lines that begin
-with ``#`` are kept as the description.
+with ``#`` are kept as the description.  What else is known of a spectrum (where it comes from, in which
+geometry it was measured) is kept as text attributes of its group; see `gonio.sphere.stored`.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import csv
 import io
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import h5py
@@ -26,7 +27,9 @@ from gonio.store.read import opened
 _UNITS = {"nm": "nm", "um": "um", "deg": "deg", "rad": "rad", "percent": "%"}
 """Endings that are units; ``s`` and ``v`` are not among them, since k_s is no time."""
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-_LARGEST_BYTES = 100_000_000
+_LARGEST_BYTES = 20_000_000
+_LONGEST_FACT = 2000
+"""Characters; all attributes of an HDF5 object together may have 64 kB."""
 
 
 def attach_csv_spectrum(path: str | os.PathLike[str], group: str, csv_path: str | os.PathLike[str]) -> None:
@@ -46,9 +49,33 @@ def attach_csv_spectrum(path: str | os.PathLike[str], group: str, csv_path: str 
     StoreError
         Either file cannot be used; the scan file is then as before.
     """
-    path, csv_path = Path(path), Path(csv_path)
     _check_group(group)
-    columns, description = read_csv_spectrum(csv_path)
+    columns, description = read_csv_spectrum(Path(csv_path))
+    attach_spectrum(path, group, columns, {"description": description} if description else {})
+
+
+def attach_spectrum(
+    path: str | os.PathLike[str],
+    group: str,
+    columns: Mapping[str, FloatArray],
+    facts: Mapping[str, str | float],
+) -> None:
+    """Store columns as NXdata ``/entry/GROUP`` of a scan file, in place of what was there.
+
+    Parameters
+    ----------
+    columns
+        (k,) each, by names as in the module's CSV; the first is ``wavelength_nm``, ascending.
+    facts
+        Attributes of the group; a longer text than 2000 characters is cut.
+
+    Raises
+    ------
+    StoreError
+        The scan file cannot be used; it is then as before.
+    """
+    path = Path(path)
+    _check_group(group)
     with opened(path, "r+") as file:
         entry = file.get("entry")
         if not isinstance(entry, h5py.Group) or "data" not in entry:
@@ -58,7 +85,7 @@ def attach_csv_spectrum(path: str | os.PathLike[str], group: str, csv_path: str 
         made = f".{group}"  # complete first, then moved into place
         if made in entry:
             del entry[made]
-        _write(entry.create_group(made), columns, description)
+        _write(entry.create_group(made), columns, facts)
         if group in entry:
             del entry[group]
         entry.move(made, group)
@@ -87,6 +114,16 @@ def read_spectrum(path: str | os.PathLike[str], group: str) -> dict[str, FloatAr
             columns[str(name)] = parts.numbers(where, 1, "f", shape)
             shape = columns[str(name)].shape
         return columns
+
+
+def read_facts(path: str | os.PathLike[str], group: str, names: Sequence[str]) -> dict[str, str]:
+    """Return the text attributes of ``/entry/GROUP`` that are there and not empty; `StoreError` as above."""
+    path = Path(path)
+    _check_group(group)
+    with opened(path, "r") as file:
+        parts = Checked(path, file)
+        found = {name: parts.attribute(f"entry/{group}", name) for name in names}
+        return {name: text for name, text in found.items() if text}
 
 
 def read_csv_spectrum(path: Path) -> tuple[dict[str, FloatArray], str]:
@@ -155,7 +192,7 @@ def _values(path: Path, number: int, line: str, header: list[str]) -> list[float
     return values
 
 
-def _write(group: h5py.Group, columns: Mapping[str, FloatArray], description: str) -> None:
+def _write(group: h5py.Group, columns: Mapping[str, FloatArray], facts: Mapping[str, str | float]) -> None:
     names = list(columns)
     group.attrs["NX_class"] = "NXdata"
     group.attrs["columns"] = names
@@ -163,8 +200,8 @@ def _write(group: h5py.Group, columns: Mapping[str, FloatArray], description: st
     group.attrs["signal"] = _dataset_name(names[1])
     if len(names) > 2:
         group.attrs["auxiliary_signals"] = [_dataset_name(name) for name in names[2:]]
-    if description:
-        group.attrs["description"] = description
+    for name, fact in facts.items():
+        group.attrs[name] = fact[:_LONGEST_FACT] if isinstance(fact, str) else fact
     for name, values in columns.items():
         dataset = group.create_dataset(_dataset_name(name), data=values)
         dataset.attrs["units"] = _unit(name)
