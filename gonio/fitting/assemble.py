@@ -38,6 +38,7 @@ class Setting:
     intervals: IntervalMethod
     weights: str
     loss: Loss
+    n2: str
     instrument: Aperture
     sample_name: str
 
@@ -137,6 +138,7 @@ def assemble(
         intervals=setting.intervals,
         weights=setting.weights,
         loss=setting.loss,
+        n2=setting.n2,
         instrument=setting.instrument,
         sample_name=setting.sample_name,
     )
@@ -170,7 +172,8 @@ def _findings(
         n2 = p - 1 if "n2" in kind.shape else 0
         shared = fit_shared(
             model, y, w, Solution(basic, solution.chi2, solution.converged & lobe),
-            free=free & lobe[:, None],
+            free=free,
+            lobe=lobe,
             n2_se=np.sqrt(np.maximum(random[:, n2, n2], 0.0)),
             dof=dof,
             wavelength_nm=setting.wavelength_nm[used.columns],

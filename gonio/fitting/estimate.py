@@ -209,6 +209,7 @@ def fit_readings(
             intervals=intervals,
             weights=used.weights,
             loss=loss,
+            n2=n2 if isinstance(n2, str) else "given",
             instrument=instrument,
             sample_name=sample_name,
         ),

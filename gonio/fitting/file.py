@@ -52,7 +52,7 @@ _LATER: tuple[str, ...] = ("modes", "shared_value", "shared_covariance")
 
 def save_fit(fit: FitResult, path: Path | str, name: str | None) -> str:
     """Write ``/entry/fit_NAME``; it is complete before it replaces an older one of that name."""
-    name = f"{fit.aperture}_{fit.polarization}" if name is None else name.removeprefix("fit_")
+    name = _name_of(fit) if name is None else name.removeprefix("fit_")
     if not _NAME.fullmatch(name):
         raise StoreError(f"fit name {name!r} may hold letters, digits and _ only; choose another")
     with _opened(path, "r+") as file:
@@ -68,6 +68,13 @@ def save_fit(fit: FitResult, path: Path | str, name: str | None) -> str:
         entry.move(made, final)
         file.flush()
     return name
+
+
+def _name_of(fit: FitResult) -> str:
+    """Return the name of a fit: aperture and polarization, and what else is not as usual."""
+    plain = {"model": "published", "n2": "free", "loss": "squares"}
+    other = [getattr(fit, what) for what, usual in plain.items() if getattr(fit, what) != usual]
+    return "_".join([fit.aperture, fit.polarization, *(f"n2_{x}" if x == fit.n2 else x for x in other)])
 
 
 def load_fit(path: Path | str, name: str | None = None) -> FitResult:
@@ -123,6 +130,7 @@ def _write(group: Any, fit: FitResult) -> None:
         "intervals": fit.intervals,
         "weights": fit.weights,
         "loss": fit.loss,
+        "n2": fit.n2,
         "sample_name": fit.sample_name,
     }.items():
         group.create_dataset(key, data=text, dtype=_TEXT)
@@ -157,6 +165,7 @@ def _read(group: Any, where: str) -> FitResult:
             **arrays,
             **names,
             model="published" if old else _text(group["model"]),
+            n2="free" if old else _text(group["n2"]),
             loss="squares" if old else _text(group["loss"]),  # type: ignore[arg-type]
             notes=tuple(group["notes"].asstr()[()]),
             polarization_of=np.asarray(group["polarization_of"].asstr()[()], np.str_),

@@ -97,6 +97,8 @@ class FitResult:
         (n, m), standard deviation of a reading that the weights stand for, before scaling by chi2.
     theta_i_deg, theta_o_deg, polarization_of
         (n,), the positions that were fitted.
+    n2
+        ``"free"``, ``"given"``, or the dispersion that all wavelengths share.
     """
 
     wavelength_nm: FloatArray
@@ -131,6 +133,7 @@ class FitResult:
     intervals: IntervalMethod
     weights: str
     loss: Loss
+    n2: str
     instrument: Aperture
     sample_name: str = ""
 
@@ -280,7 +283,8 @@ class FitResult:
     def save(self, path: Path | str, name: str | None = None) -> str:
         """Store in a scan file as ``/entry/fit_NAME``, replacing one of that name; return NAME.
 
-        `name` is ``{aperture}_{polarization}`` unless given.  `StoreError` if the file cannot be written.
+        `name` is ``{aperture}_{polarization}`` unless given, followed by the model, n2 and loss where they are
+        not those of a plain fit.  `StoreError` if the file cannot be written.
         """
         from gonio.fitting.file import save_fit
 

@@ -24,6 +24,7 @@ from gonio.errors import FitError
 from gonio.fitting.columns import BoolArray, FitModel, FloatArray, jacobian, readings
 from gonio.fitting.covariance import inverse
 from gonio.fitting.dispersion import Dispersion
+from gonio.fitting.limits import diffuse_only, is_lobe
 from gonio.fitting.solve import Solution, refine
 from gonio.overlap import pairs
 
@@ -85,6 +86,7 @@ def fit_shared(
     separate: Solution,
     *,
     free: BoolArray,
+    lobe: BoolArray,
     n2_se: FloatArray,
     dof: FloatArray,
     wavelength_nm: FloatArray,
@@ -102,11 +104,18 @@ def fit_shared(
         The optimum of each wavelength for itself.
     free
         Shape parameters that a wavelength is free to choose, (m, k).
+    lobe
+        Where a lobe is seen, (m,); elsewhere there is none, and no index to share.
     n2_se, dof
         Standard errors of the separate indices and degrees of freedom, (m,).
     """
+    if dispersion is not None and not np.any(lobe):
+        raise FitError(
+            f"n2 = '{dispersion.name}' has nothing to be told by: no lobe is seen at any wavelength; fit "
+            "n2 = 'free', or model 'lambert'"
+        )
     return _Joint(
-        model, y, w, free, wavelength_nm, detector_index, dispersion, detectors, separate, dof
+        model, y, w, free, lobe, wavelength_nm, detector_index, dispersion, detectors, separate, dof
     ).solve(separate, n2_se)
 
 
@@ -119,6 +128,7 @@ class _Joint:
         y: FloatArray,
         w: FloatArray,
         free: BoolArray,
+        lobe: BoolArray,
         wavelength_nm: FloatArray,
         detector_index: NDArray[np.integer],
         dispersion: Dispersion | None,
@@ -130,7 +140,8 @@ class _Joint:
         self.um = np.where(np.isfinite(wavelength_nm), wavelength_nm, 1000.0) / 1000.0
         self.form = dispersion
         self.detector = detector_index.astype(np.intp)
-        self.free = free.copy()
+        self.lobe = lobe
+        self.free = free & lobe[:, None]
         self.n2_at = len(model.linear) + list(model.shape).index("n2") if "n2" in model.shape else -1
         if dispersion is not None:
             self.free[:, list(model.shape).index("n2")] = False
@@ -192,6 +203,9 @@ class _Joint:
             w[:, a] = w[:, b] = together
             begin[b] = begin[a]
         found = refine(self.model, y, w, begin, free=self.free)
+        flat = ~self.lobe
+        if np.any(flat):
+            found.basic[flat] = diffuse_only(self.model, y[:, flat], w[:, flat], found.basic[flat])
         residual = self.residual(psi, found.basic)
         chi2 = np.sum(self.w * residual**2, axis=0)
         total = float(np.sum(chi2) + np.sum(self.prior * psi**2))
@@ -220,6 +234,7 @@ class _Joint:
         own = own * gain[:, None, None]
         held = np.zeros(basic.shape, bool)
         held[:, len(self.model.linear) :] = ~self.free
+        held[~self.lobe] |= np.array([is_lobe(name) for name in (*self.model.linear, *self.model.shape)])
         weight = self.w.T[:, :, None]
         size = np.sqrt(np.sum(weight * own**2, axis=1))
         there = ~held & (size > 1e-9 * np.max(size, axis=1, keepdims=True))
