@@ -12,7 +12,7 @@ from gonio.acquire.room import RESERVE_BYTES, must_have_room
 from gonio.acquire.session import facts_of, refuse_existing
 from gonio.acquire.sourcing import Asked
 from gonio.acquire.steps import Step, steps_of
-from gonio.aperture import Aperture
+from gonio.aperture import Aperture, IncidentBeam
 from gonio.errors import RefusedError
 from gonio.plan.channels import Channels, channels
 from gonio.plan.check import check
@@ -56,8 +56,10 @@ def prepared(rig: Rig, plan: Plan, path: Path, *, continues: bool, source: Asked
         shown = "\n".join(str(refusal) for refusal in refusals[:_SHOWN_REFUSALS])
         more = f"\n... and {len(refusals) - _SHOWN_REFUSALS} more" if len(refusals) > _SHOWN_REFUSALS else ""
         raise RefusedError(f"the plan '{plan.title}' cannot be measured:\n{shown}{more}")
-    # refuses dimensions that no aperture has
+    # refuses dimensions that no aperture and no beam has
     Aperture(config.aperture.width_mm, config.aperture.height_mm, config.aperture.distance_mm)
+    if config.beam is not None:
+        IncidentBeam(config.beam.width_mm, config.beam.height_mm, config.beam.divergence_deg)
     if not continues:
         refuse_existing(path)
     columns = channels(plan, config)

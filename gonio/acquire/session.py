@@ -213,6 +213,9 @@ def facts_of(config: RigConfig) -> RigFacts:
         s_deg=config.polarizer.s_deg,
         p_deg=config.polarizer.p_deg,
         detectors=tuple(DetectorFacts(d.name, d.type, *d.range_nm) for d in config.spectrometer.detectors),
+        beam_width_mm=None if config.beam is None else config.beam.width_mm,
+        beam_height_mm=None if config.beam is None else config.beam.height_mm,
+        beam_divergence_deg=None if config.beam is None else config.beam.divergence_deg,
     )
 
 

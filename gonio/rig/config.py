@@ -18,6 +18,7 @@ from gonio.rig.tables import (
     SIMULATED,
     ApertureConfig,
     BaselineConfig,
+    BeamConfig,
     PolarizerConfig,
     SpectrometerConfig,
     StageConfig,
@@ -30,6 +31,7 @@ class RigConfig(Strict):
 
     name: str
     aperture: ApertureConfig
+    beam: BeamConfig | None = None  # None: not said, and the fit takes a line of light without width
     baseline: BaselineConfig = BaselineConfig()
     stage: StageConfig
     polarizer: PolarizerConfig

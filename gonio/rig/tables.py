@@ -24,6 +24,14 @@ class ApertureConfig(Strict):
     distance_mm: Positive  # from the sample's axis
 
 
+class BeamConfig(Strict):
+    """The beam that falls on the sample, uniform over a rectangle across it and over a square cone."""
+
+    width_mm: NotNegative  # across the beam, in the plane of incidence
+    height_mm: NotNegative
+    divergence_deg: NotNegative = 0.0  # full angle
+
+
 class AxisConfig(Strict):
     """What the program must know of an axis, whoever made it; a driver's model adds its own keys."""
 

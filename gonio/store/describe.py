@@ -120,7 +120,12 @@ def _write_instrument(entry: h5py.Group, header: ScanHeader) -> None:
     text_dataset(source, "probe", "photon")
     beam = nexus_group(instrument, "beam_incident", "NXbeam")
     instrument["beam"] = beam  # the same group under the shorter name
-    text_dataset(beam, "description", "parallel beam on the sample; its direct signal is the 100 % baseline")
+    text_dataset(beam, "description", "beam on the sample; its direct signal is the 100 % baseline")
+    size = rig.beam
+    if size is not None:
+        quantity(beam, "width", size.width_mm, "mm", "width across the beam, in the plane of incidence")
+        quantity(beam, "height", size.height_mm, "mm", "height out of the plane of incidence")
+        quantity(beam, "divergence", size.divergence_deg, "deg", "full angle of a uniform square cone")
     quantity(
         beam, "baseline_theta_i", rig.baseline_theta_i_deg, "deg", "sample angle of the baseline reading"
     )

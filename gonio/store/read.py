@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.aperture import Aperture
+from gonio.aperture import Aperture, IncidentBeam
 from gonio.errors import ConfigError, StoreError
 from gonio.store.checked import Checked
 from gonio.store.guard import refuse_dangerous
@@ -214,6 +214,7 @@ class _Reader(Checked):
             plan_text=self.text("entry/plan"),
             rig_text=self.text("entry/rig"),
             start_time=self.text("entry/start_time"),
+            beam=self._beam(),
         )
 
     def _aperture(self) -> Aperture:
@@ -223,5 +224,15 @@ class _Reader(Checked):
         )
         try:
             return Aperture(width_mm=width, height_mm=height, distance_mm=distance)
+        except (ConfigError, ValueError) as error:
+            raise self.foreign(f"{where}: {error}") from None
+
+    def _beam(self) -> IncidentBeam | None:
+        where, names = "entry/instrument/beam", ("width", "height", "divergence")
+        # files of rigs that do not say, and those before gonio could, have none of them
+        if not (self.has(where) and any(self.has(f"{where}/{name}") for name in names)):
+            return None
+        try:
+            return IncidentBeam(*(float(self.scalar(f"{where}/{name}")) for name in names))
         except (ConfigError, ValueError) as error:
             raise self.foreign(f"{where}: {error}") from None

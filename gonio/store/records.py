@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.aperture import IncidentBeam
 from gonio.devices import FloatArray, Polarization
 
 ReferenceKind = Literal["dark", "baseline"]
@@ -41,6 +42,17 @@ class RigFacts:
     s_deg: float
     p_deg: float
     detectors: tuple[DetectorFacts, ...]
+    beam_width_mm: float | None = None  # None, all three: the rig file does not say
+    beam_height_mm: float | None = None
+    beam_divergence_deg: float | None = None
+
+    @property
+    def beam(self) -> IncidentBeam | None:
+        """The beam on the sample; `ConfigError` if there can be none such."""
+        width, height, divergence = self.beam_width_mm, self.beam_height_mm, self.beam_divergence_deg
+        if width is None or height is None or divergence is None:
+            return None
+        return IncidentBeam(width, height, divergence)
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,6 +53,7 @@ def refuse_nonsense(record: Record, header: ScanHeader) -> None:
     if record is header:
         try:
             Aperture(header.rig.width_mm, header.rig.height_mm, header.rig.distance_mm)
+            _ = header.rig.beam
         except ConfigError as error:
             raise ValueError(str(error)) from None
     if record is header and header.detector_index.max(initial=0) >= len(header.rig.detectors):
@@ -96,7 +97,7 @@ def _is(kind: str, value: Any, m: int) -> bool:
 def _is_rig(rig: RigFacts, m: int) -> bool:
     parts: list[Any] = [rig, *rig.detectors]
     right = all(
-        _is(str(field.type), getattr(part, field.name), m)
+        any(_is(kind.strip(), getattr(part, field.name), m) for kind in str(field.type).split("|"))
         for part in parts
         for field in dataclasses.fields(part)
         if field.name != "detectors"

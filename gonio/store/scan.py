@@ -15,7 +15,7 @@ from gonio.overlap import changes_nm, home
 if TYPE_CHECKING:
     import xarray
 
-    from gonio.aperture import Aperture
+    from gonio.aperture import Aperture, IncidentBeam
 
 UNUSABLE = Quality.OVER_RANGE | Quality.REFUSED | Quality.NOT_MEASURED
 """A reading with one of these bits is not a measurement of r."""
@@ -50,6 +50,7 @@ class Scan:
     time_s : (n,) float64, time of the first reading of each position since the scan began, instrument seconds
     position : (n,) int64, number of the position in the plan, from zero
     n_planned : number of positions of the plan
+    beam : the beam on the sample; None if the rig file did not say
     """
 
     path: Path
@@ -78,6 +79,7 @@ class Scan:
     plan_text: str = ""
     rig_text: str = ""
     start_time: str = ""
+    beam: IncidentBeam | None = None
 
     @property
     def usable(self) -> NDArray[np.bool_]:
