@@ -2,8 +2,7 @@
 
 The bands and the rule are those of the table that `gonio fit` prints: the plain mean of a band's
 wavelengths, and half the 95 % interval of that mean with the wavelengths independent of each other.  The
-sphere's uncertainty is taken as common to all wavelengths.  A band that would span a detector change is
-split there.
+sphere and E_n are those of `gonio.sphere.compare`.  A band that would span a detector change is split there.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from gonio.fitting.ratios import detector_ratios
 from gonio.fitting.table import BANDS
-from gonio.report.agreement import SPHERE_THETA_I_DEG, sphere_of
+from gonio.report.agreement import SPHERE_THETA_I_DEG, compare
 from gonio.report.content import Content
 from gonio.report.page import MISSING, Block, Table, Text, Tile, number, with_uncertainty
 
@@ -53,14 +52,9 @@ def band_table(content: Content, fit: FitResult) -> list[Block]:
     fit = fit.only(fit.home)
     wavelength_nm = np.asarray(fit.wavelength_nm, dtype=np.float64)
     columns = _columns(fit)
-    sphere = sphere_of(content)
+    comparison = compare(content, fit)
     head: list[str | Markup] = ["band / nm", *(Markup(HEADS[name]) for name in columns)]
-    reference = expanded = np.empty(0)
-    if sphere is not None:
-        reference = 100.0 * np.interp(
-            wavelength_nm, sphere.wavelength_nm, sphere.value, left=np.nan, right=np.nan
-        )
-        expanded = 100.0 * np.interp(wavelength_nm, sphere.wavelength_nm, sphere.expanded)
+    if comparison is not None:
         head += ["sphere / %", Markup("E<sub>n</sub>")]
     rows = []
     for inside in bands(wavelength_nm, content.scan.detector_change_nm):
@@ -70,10 +64,14 @@ def band_table(content: Content, fit: FitResult) -> list[Block]:
             text = with_uncertainty(*_mean(value[inside], half[inside]))
             true = _true(content, name, wavelength_nm[inside])
             row.append(Markup("{}<br><small>true {}</small>").format(text, true) if true else text)
-        if sphere is not None:
-            k_g, own = _mean(columns["k_g"][0][inside], columns["k_g"][1][inside])
-            mean, u = float(np.mean(reference[inside])), float(np.mean(expanded[inside]))
-            row += [with_uncertainty(mean, u), _e_n((k_g - mean) / np.hypot(own, u))]
+        if comparison is not None:
+            use = np.zeros(wavelength_nm.size, bool)
+            use[inside] = True
+            part = comparison.over(use)
+            if part is None:
+                row += [MISSING, MISSING]
+            else:
+                row += [with_uncertainty(100.0 * part.reference, 100.0 * part.u_sphere), _e_n(part.e_n)]
         rows.append(row)
     note = Markup(
         "Each entry: plain mean over the wavelengths of the band ± half the 95 % interval of that mean, "

@@ -34,6 +34,7 @@ class Spectrum:
 
     wavelength_nm: FloatArray
     columns: Mapping[str, FloatArray]
+    facts: Mapping[str, str] = field(default_factory=dict)  # of the sphere, see `gonio.sphere.stored`
 
     def column(self, *names: str) -> FloatArray | None:
         """Return the first column there is under one of `names`, or ``None``."""
@@ -177,13 +178,18 @@ def _read_fits(path: Path, problems: list[str]) -> dict[str, FitResult]:
 
 
 def _read_spectrum(path: Path, group: str, problems: list[str]) -> Spectrum | None:
+    from gonio.sphere.stored import FACTS, GROUP, sphere_of_columns
     from gonio.store import read_spectrum
+    from gonio.store.spectra import read_facts
 
     if group not in _group_names(path):
         return None
     try:
         columns = dict(read_spectrum(path, group))
-        return Spectrum(columns.pop("wavelength_nm"), columns)
+        facts = read_facts(path, group, FACTS) if group == GROUP else {}
+        if group == GROUP:
+            sphere_of_columns(columns, facts, path)
+        return Spectrum(columns.pop("wavelength_nm"), columns, facts)
     except (GonioError, KeyError) as error:
         problems.append(f"/entry/{group} cannot be shown: {error}")
         return None

@@ -13,7 +13,7 @@ from markupsafe import Markup
 from gonio import __version__
 from gonio.devices import Quality
 from gonio.report import choose, style
-from gonio.report.agreement import Comparison, compare, sphere_of
+from gonio.report.agreement import compare, uncertain
 from gonio.report.bands import band_table, summary_tiles
 from gonio.report.content import Content, file_facts
 from gonio.report.curves import describe, draw_curves
@@ -33,6 +33,8 @@ from gonio.report.page import (
 )
 from gonio.report.polar import draw_polar
 from gonio.report.spectra import draw_coefficients, draw_coefficients_alone, draw_index, draw_parameters
+from gonio.sphere import SphereComparison
+from gonio.sphere.text import verdicts
 
 if TYPE_CHECKING:
     from gonio.fitting import FitResult
@@ -153,15 +155,16 @@ def _warnings(content: Content, fit: FitResult | None) -> list[str | Markup]:
     return texts
 
 
-def _tiles(content: Content, fit: FitResult | None, comparison: Comparison | None) -> list[Tile]:
+def _tiles(content: Content, fit: FitResult | None, comparison: SphereComparison | None) -> list[Tile]:
     if fit is None:
         return []
     tiles = summary_tiles(fit)
-    if comparison is not None and comparison.ranges:
-        within = sum(r.within for r in comparison.ranges)
-        count = sum(r.count for r in comparison.ranges)
+    parts = comparison.parts() if comparison is not None else ()
+    judged = sum(part.judged for part in parts)
+    if judged:
+        within = sum(part.within for part in parts)
         tiles.append(
-            Tile(f"{within} of {count}", Markup("wavelengths agree with the sphere, |E<sub>n</sub>| ≤ 1"))
+            Tile(f"{within} of {judged}", Markup("wavelengths agree with the sphere, |E<sub>n</sub>| ≤ 1"))
         )
     return tiles
 
@@ -170,39 +173,78 @@ def _tiles(content: Content, fit: FitResult | None, comparison: Comparison | Non
 # ---------------------------------------------------------------------------------------------------------
 
 
-def _agreement(content: Content, comparison: Comparison | None) -> list[Block]:
-    sphere = sphere_of(content)
-    if comparison is None or sphere is None:
+def _agreement(content: Content, comparison: SphereComparison | None) -> list[Block]:
+    if comparison is None:
         return []
-    if not comparison.ranges:
+    parts, sphere = comparison.parts(), comparison.sphere
+    if not parts:
         return [Text("The fit and the sphere have no wavelength in common.")]
     rows = [
         (
-            f"{r.detector}, {r.low_nm:g}–{r.high_nm:g} nm",
-            number(100 * r.mean_sphere),
-            _signed(100 * r.mean_deviation),
-            _signed(100 * r.mean_relative),
-            f"{r.worst_e_n:+.2f}".replace("-", "−"),
-            _counted(r.within, r.count),
+            f"{part.detector}, {part.low_nm:g}–{part.high_nm:g} nm",
+            number(100 * part.reference),
+            _signed(100 * part.difference),
+            _signed(100 * part.relative),
+            _e_n(part.e_n),
+            _e_n(part.worst_e_n),
+            _counted(part.within, part.judged) if part.judged else "–",
         )
-        for r in comparison.ranges
+        for part in parts
     ]
     head = (
         "detector",
         "sphere, mean / %",
         "fit − sphere, mean / % (absolute)",
         "relative to sphere / %",
+        Markup("E<sub>n</sub> of the mean"),
         Markup("largest E<sub>n</sub>"),
         Markup("|E<sub>n</sub>| ≤ 1 at"),
     )
+    modes = ", ".join(comparison.mode_names)
+    common = (
+        Markup("U<sub>common</sub>: {}").format(modes)
+        if modes
+        else Markup(
+            "U<sub>common</sub>: none is stated with the fit, so aperture size and distance, alignment and "
+            "the "
+            "model's own shape are not in it"
+        )
+    )
     note = Markup(
-        "E<sub>n</sub> = (k<sub>g</sub> − k<sub>sphere</sub>) / √(U²<sub>fit</sub> + "
-        "U²<sub>sphere</sub>) at each wavelength, both U at 95 %: half of the fit's 95 % interval "
-        "(noise, baseline and dark readings), and {}. Assumed: no correlation between the two; not in "
-        "U<sub>fit</sub>: aperture size and distance, alignment, the model's own shape. Both refer to 8° "
-        "incidence, hemispherical, mean of S and P."
-    ).format(sphere.uncertainty_text)
-    return [Table(head, rows, note)]
+        "E<sub>n</sub> = (k<sub>{}</sub> − k<sub>sphere</sub>) / √(U²<sub>fit</sub> + U²<sub>common</sub> + "
+        "U²<sub>sphere</sub>), all U at 95 %. U<sub>fit</sub>: half of the fit's 95 % interval (noise, "
+        "baseline and "
+        "dark readings), averaging out over wavelengths. {}. U<sub>sphere</sub>: {}, common to all "
+        "wavelengths. "
+        "Assumed: no correlation between the two. Both refer to {:g}° incidence, hemispherical, specular "
+        "beam {}, "
+        "mean of S and P."
+    ).format(
+        comparison.coefficient[-1],
+        common,
+        sphere.uncertainty,
+        sphere.geometry.theta_i_deg,
+        sphere.geometry.specular,
+    )
+    blocks: list[Block] = [Table(head, rows, note)]
+    blocks += [Text(text) for text in _verdict(comparison)]
+    return blocks
+
+
+def _verdict(comparison: SphereComparison) -> list[str]:
+    """Return what fit and sphere say of each other, and what may cause a disagreement."""
+    if not uncertain(comparison.sphere):
+        return [
+            "No uncertainty of the sphere is stated, so nothing can be said of agreement; bring it in again "
+            "with "
+            "gonio fit --sphere FILE --sphere-u, such as '1 % relative, k=2'."
+        ]
+    said = [line.strip() for line in verdicts(comparison)]
+    return [" ".join(line[0].upper() + line[1:] + ("" if line.endswith(":") else ".") for line in said)]
+
+
+def _e_n(value: float) -> str:
+    return f"{value:+.2f}".replace("-", "−") if np.isfinite(value) else "–"
 
 
 def _signed(value: float) -> str:

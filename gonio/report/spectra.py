@@ -16,9 +16,11 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from gonio.report import choose, style
-from gonio.report.agreement import SPHERE_THETA_I_DEG, Comparison, compare, sphere_of
+from gonio.report.agreement import SPHERE_THETA_I_DEG, compare, sphere_of
 from gonio.report.content import Content
 from gonio.report.curves import describe
+from gonio.sphere import SphereComparison
+from gonio.sphere.uncertainty import COVERAGE
 
 if TYPE_CHECKING:
     from gonio.fitting import FitResult
@@ -180,7 +182,7 @@ def draw_index(content: Content, fit: FitResult) -> style.Drawing:
     )
 
 
-def _caption(content: Content, fit: FitResult, comparison: Comparison | None) -> str:
+def _caption(content: Content, fit: FitResult, comparison: SphereComparison | None) -> str:
     text = [
         "Directional-hemispherical reflectance at 8° incidence, mean of S and P, from the fit "
         f"({describe(fit)}); bands: 95 % intervals, propagated from the parameters with their full "
@@ -189,8 +191,9 @@ def _caption(content: Content, fit: FitResult, comparison: Comparison | None) ->
     sphere = sphere_of(content)
     if sphere is not None:
         text.append(
-            f"Green: the integrating sphere with {sphere.uncertainty_text}. Lowest panel: the fit's k_g "
-            "minus the sphere's; outside the grey band the two disagree by more than both claim."
+            f"Green: the integrating sphere, {html.escape(sphere.uncertainty)}. Lowest panel: the fit's "
+            f"{sphere.geometry.coefficient} minus the sphere's; outside the grey band the two disagree by "
+            "more than both claim."
         )
     else:
         text.append("No sphere measurement is stored in this file to compare with.")
@@ -201,8 +204,9 @@ def _caption(content: Content, fit: FitResult, comparison: Comparison | None) ->
         text.append(
             f"No curve is joined across the detector change ({where}): a step there is a difference of gain."
         )
-    if comparison is not None and comparison.ranges:
-        worst = max(comparison.ranges, key=lambda r: abs(r.worst_e_n))
+    judged = [part for part in comparison.parts() if part.judged] if comparison is not None else []
+    if judged:
+        worst = max(judged, key=lambda part: abs(part.worst_e_n))
         text.append(
             f"The largest disagreement is E<sub>n</sub> = {worst.worst_e_n:.2g}, on detector "
             f"{html.escape(worst.detector)}."
@@ -280,7 +284,7 @@ def _draw_sphere(axes: Axes, content: Content, changes: Sequence[float]) -> list
     sphere = sphere_of(content)
     if sphere is None:
         return []
-    value, expanded = 100.0 * sphere.value, 100.0 * sphere.expanded
+    value, expanded = 100.0 * sphere.value, 100.0 * COVERAGE * sphere.standard
     style.draw_spectrum(
         axes,
         sphere.wavelength_nm,
@@ -296,8 +300,8 @@ def _draw_sphere(axes: Axes, content: Content, changes: Sequence[float]) -> list
     return [value]
 
 
-def _draw_deviation(axes: Axes, comparison: Comparison, changes: Sequence[float]) -> None:
-    deviation, expanded = 100.0 * comparison.deviation, 100.0 * comparison.expanded
+def _draw_deviation(axes: Axes, comparison: SphereComparison, changes: Sequence[float]) -> None:
+    deviation, expanded = 100.0 * comparison.difference, 100.0 * comparison.expanded
     axes.axhline(0.0, color=style.BLACK, linewidth=0.8, zorder=1.5)
     x, (low, high) = style.broken(comparison.wavelength_nm, -expanded, expanded, at=changes)
     axes.fill_between(
@@ -315,7 +319,7 @@ def _draw_deviation(axes: Axes, comparison: Comparison, changes: Sequence[float]
         deviation,
         changes_nm=changes,
         colour=style.BLUE,
-        label=f"{K_G} of the fit − sphere",
+        label=f"{K_G if comparison.coefficient == 'k_g' else K_D} of the fit − sphere",
     )
     axes.set_ylabel("difference / %")
     _finish(axes, [deviation], [-expanded, expanded], changes)

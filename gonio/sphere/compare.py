@@ -137,6 +137,11 @@ class SphereComparison:
         return np.asarray(self.value - self.reference)
 
     @property
+    def expanded(self) -> FloatArray:
+        """Expanded uncertainty of the difference at each wavelength."""
+        return np.sqrt(self.u_fit**2 + self.u_common**2 + self.u_sphere**2)
+
+    @property
     def e_n(self) -> FloatArray:
         """E_n at each wavelength."""
         return e_n(self.difference, self.u_fit, self.u_common, self.u_sphere)

@@ -31,7 +31,11 @@ _HEADER = (
     "accessory", "grating_change_nm", "lamp_change_nm", "detector_change_nm", "depolarizer", "attenuators",
     "polarizer_deg",
 )  # fmt: skip
-_SOURCE = ("source_file", "source_format", "source_sha256", "source_ordinate")
+FACTS = (
+    "source_file", "source_format", "source_sha256", "source_ordinate", "remarks", "description",
+    "uncertainty", "geometry", "geometry_stated", "detector_change_nm", *(f"header_{name}" for name in _HEADER),
+)  # fmt: skip
+"""Attributes that are read back."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,9 +113,7 @@ def read_sphere(path: str | os.PathLike[str]) -> Sphere:
 
     `StoreError` if there is none, or none of a reflectance.
     """
-    names = (*_SOURCE, *(f"header_{name}" for name in _HEADER), "remarks", "description", "uncertainty",
-             "geometry", "geometry_stated", "detector_change_nm")  # fmt: skip
-    return sphere_of_columns(read_spectrum(path, GROUP), read_facts(path, GROUP, names), Path(path))
+    return sphere_of_columns(read_spectrum(path, GROUP), read_facts(path, GROUP, FACTS), Path(path))
 
 
 def sphere_of_columns(

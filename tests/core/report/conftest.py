@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -129,6 +129,11 @@ class FakeFit:
     detector_index: np.ndarray
     aperture: str = "exact"
     polarization: str = "joint"
+    instrument: Aperture = field(
+        default_factory=lambda: Aperture(width_mm=26, height_mm=18, distance_mm=95.2353)
+    )
+    modes: np.ndarray = field(default_factory=lambda: np.empty((0, 0, 4)))
+    mode_names: tuple[str, ...] = ()
     parameters: tuple[str, ...] = ("rho_d", "rho_s", "alpha", "n2")
     notes: tuple[str, ...] = ()
 

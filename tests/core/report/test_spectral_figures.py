@@ -138,11 +138,11 @@ def test_e_n_is_the_deviation_over_the_expanded_uncertainties(content):
 
 
 def test_a_gain_error_of_one_detector_shows_in_its_own_row(content):
-    pmt, ingaas = agreement.compare(content, content.main_fit()).ranges
+    pmt, ingaas = agreement.compare(content, content.main_fit()).parts()
     assert (pmt.detector, pmt.low_nm, pmt.high_nm) == ("pmt", 300.0, 850.0)
     assert (ingaas.detector, ingaas.low_nm, ingaas.high_nm) == ("ingaas", 860.0, 1500.0)
-    assert pmt.mean_relative == pytest.approx(-0.032, abs=0.003)  # -3 %, and the sphere reads 0.2 % high
-    assert ingaas.mean_relative == pytest.approx(-0.002, abs=0.002)
+    assert pmt.relative == pytest.approx(-0.032, abs=0.003)  # -3 %, and the sphere reads 0.2 % high
+    assert ingaas.relative == pytest.approx(-0.002, abs=0.002)
     assert pmt.within < 0.2 * pmt.count
     assert ingaas.within >= 0.95 * ingaas.count
     assert pmt.worst_e_n < -1.0
@@ -150,27 +150,39 @@ def test_a_gain_error_of_one_detector_shows_in_its_own_row(content):
 
 def test_a_sphere_on_another_grid_is_interpolated_and_not_extended(make_content):
     content = make_content()
-    coarse = agreement.sphere_of(content)
-    at = np.array([600.0, 700.0, 850.0])
     sphere = dataclasses.replace(
         content.sphere,
-        wavelength_nm=at,
+        wavelength_nm=np.array([600.0, 700.0, 850.0]),
         columns={"k_g": np.array([0.7, 0.8, 0.8]), "k_g_u": np.full(3, 0.01)},
     )
     found = agreement.compare(dataclasses.replace(content, sphere=sphere), content.main_fit())
     k_g = content.main_fit().hemispherical(8.0).k_g.value
     i = int(np.argmin(np.abs(found.wavelength_nm - 650.0)))
-    assert found.deviation[i] == pytest.approx(k_g[i] - 0.75)
-    assert np.isnan(found.deviation[found.wavelength_nm < 600.0]).all()
-    assert np.isnan(found.deviation[found.wavelength_nm > 850.0]).all()
-    assert coarse.expanded == pytest.approx(0.01 * coarse.value)
+    assert found.difference[i] == pytest.approx(k_g[i] - 0.75)
+    assert np.isnan(found.difference[found.wavelength_nm < 600.0]).all()
+    assert np.isnan(found.difference[found.wavelength_nm > 850.0]).all()
+    assert found.u_sphere[i] == pytest.approx(0.02)
 
 
-def test_a_sphere_without_uncertainty_is_taken_at_one_percent_and_says_so(content):
+def test_a_sphere_without_uncertainty_is_shown_but_not_judged(content):
     sphere = dataclasses.replace(content.sphere, columns={"k_g": np.full(121, 0.76)})
-    found = agreement.sphere_of(dataclasses.replace(content, sphere=sphere))
-    assert found.expanded == pytest.approx(0.0076)
-    assert "assumed" in found.uncertainty_text
+    content = dataclasses.replace(content, sphere=sphere)
+    found = agreement.compare(content, content.main_fit())
+    assert np.isfinite(found.difference).all()
+    assert np.isnan(found.e_n).all()
+    assert [part.judged for part in found.parts()] == [0, 0]
+    assert "no uncertainty stated" in spectra.draw_coefficients(content, content.main_fit()).caption
+
+
+def test_a_sphere_without_the_specular_beam_is_compared_with_the_diffuse_coefficient(content):
+    sphere = dataclasses.replace(
+        content.sphere,
+        columns={"k_d": np.full(121, 0.7), "k_d_u": np.full(121, 0.01)},
+        facts={"geometry": "8:de"},
+    )
+    found = agreement.compare(dataclasses.replace(content, sphere=sphere), content.main_fit())
+    k_d = content.main_fit().hemispherical(8.0).k_d.value
+    np.testing.assert_allclose(found.difference, k_d - 0.7, rtol=1e-12)
 
 
 # -- bands
