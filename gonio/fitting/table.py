@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.fitting.ratios import detector_ratios
+from gonio.sphere.compare import SphereComparison, compare
+from gonio.sphere.stored import sphere_of_columns
 
 if TYPE_CHECKING:
     from gonio.fitting.result import FitResult
@@ -55,16 +57,17 @@ def band_table(
     Notes
     -----
     An entry is the plain mean over the band's wavelengths ± half its 95 % interval, the wavelengths being
-    independent: each has its own readings, baseline and dark.  The sphere's uncertainty is taken as common to
-    the band.  A wavelength that two detectors measured counts once, with the detector on whose side of the
-    change it lies; their ratio stands below the table.
+    independent: each has its own readings, baseline and dark.  The sphere and E_n are those of
+    `gonio.sphere.compare`; a band that spans a detector change has no E_n.  A wavelength that two detectors
+    measured counts once, with the detector on whose side of the change it lies; their ratio stands below the
+    table.
     """
     whole, fit = fit, fit.only(fit.home)
     columns = _columns(fit)
     rows = _rows(fit, BANDS if bands is None else bands)
     lines: list[str] = []
     for names in (fit.parameters, ("k_d", "k_s", "k_g")):  # side by side they are wider than a terminal
-        of_sphere = sphere if "k_g" in names else None
+        of_sphere = sphere if sphere is not None and "k_g" in names and "k_g" in sphere else None
         lines += [*_block(fit, {name: columns[name] for name in names}, rows, truth, of_sphere), ""]
     lines.append(
         f"mean ± half its 95 % interval; k at {THETA_I_DEG:g} deg, S/P mean, lobe above the horizon; "
@@ -98,11 +101,12 @@ def _block(
     head = f"{'nm':<11}" + "".join(f"{name:>{w}}" for name, w in zip(names, width, strict=True))
     if sphere is not None:
         head += f"{'k_g sphere':>19}{'E_n':>7}"
+    compared = compare(fit, sphere_of_columns(sphere)) if sphere is not None else None
     lines = [head, "-" * len(head)]
     for (label, use), entries in zip(rows, cells, strict=True):
         line = f"{label:<11}" + "".join(f"{entry:>{w}}" for entry, w in zip(entries, width, strict=True))
-        if sphere is not None:
-            line += _sphere_entry(fit, columns["k_g"], sphere, use)
+        if compared is not None:
+            line += _sphere_entry(compared, use)
         lines.append(line)
         if truth is not None and not truth.keys().isdisjoint(columns):
             line = f"{'  true':<11}"
@@ -155,25 +159,16 @@ def _interpolated(columns: Mapping[str, FloatArray], name: str, at: FloatArray) 
     return np.interp(at, columns["wavelength_nm"], columns[name], left=np.nan, right=np.nan)
 
 
-def _sphere_entry(
-    fit: FitResult,
-    k_g: tuple[FloatArray, FloatArray],
-    sphere: Mapping[str, FloatArray],
-    use: NDArray[np.bool_],
-) -> str:
+def _sphere_entry(compared: SphereComparison, use: NDArray[np.bool_]) -> str:
     """Return the sphere's mean k_g ± its expanded uncertainty, and E_n of the means."""
-    known = _interpolated(sphere, "k_g", fit.wavelength_nm[use])
-    if known is None or not np.all(np.isfinite(known)):
+    part = compared.over(use)
+    if part is None or not np.all(np.isfinite(compared.reference[use])):
         return f"{'-':>19}{'-':>7}"
-    mean = float(np.mean(known))
-    u = _interpolated(sphere, "k_g_u", fit.wavelength_nm[use])
-    if u is None:
-        return f"{mean:>10.4f}         {'-':>7}"
-    expanded = 2.0 * float(np.mean(u))
-    value, half = k_g[0][use], k_g[1][use]
-    own = float(np.sqrt(np.nansum(half**2)) / half.size)
-    e_n = (float(np.nanmean(value)) - mean) / np.hypot(own, expanded)
-    return f"{f'{mean:.4f} ± {expanded:.4f}':>19}{e_n:>7.2f}"
+    alone = len(np.unique(compared.side[use])) == 1  # means across a detector change prove nothing
+    e_n = f"{part.e_n:.2f}" if alone and np.isfinite(part.e_n) else "-"
+    if not np.isfinite(part.u_sphere):
+        return f"{part.reference:>10.4f}         {e_n:>7}"
+    return f"{f'{part.reference:.4f} ± {part.u_sphere:.4f}':>19}{e_n:>7}"
 
 
 def _remarks(fit: FitResult) -> list[str]:

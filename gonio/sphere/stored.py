@@ -33,7 +33,8 @@ _HEADER = (
 )  # fmt: skip
 FACTS = (
     "source_file", "source_format", "source_sha256", "source_ordinate", "remarks", "description",
-    "uncertainty", "geometry", "geometry_stated", "detector_change_nm", *(f"header_{name}" for name in _HEADER),
+    "uncertainty", "geometry", "geometry_stated", "detector_change_nm",
+    *(f"header_{name}" for name in _HEADER),
 )  # fmt: skip
 """Attributes that are read back."""
 
