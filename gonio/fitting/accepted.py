@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gonio.fitting.columns import BoolArray, FloatArray, readings
+from gonio.fitting.columns import BoolArray, FitModel, FloatArray, readings
 from gonio.fitting.covariance import random_and_common
 from gonio.fitting.limits import is_lobe
 from gonio.fitting.profile import Ends, profile_curve, profile_ends
@@ -129,9 +129,10 @@ def profile(
     return Profile(name, fit.wavelength_nm, estimate, ends.lower, ends.upper, threshold, value, rise)
 
 
-def data_of(fit: FitResult) -> Data:
+def data_of(fit: FitResult, model: FitModel | None = None) -> Data:
     """Return the least-squares problems that a fit has solved, at all its wavelengths.
 
+    `model` is the fit's own, if it is at hand (`model_of`): to tabulate a lobe takes time.
     Where a shape parameter has no value it stands at 1.5 (n2) or 0; where it was held it is not free.
     """
     kind = fit.kind
@@ -141,9 +142,7 @@ def data_of(fit: FitResult) -> Data:
     basic = fit.basic.copy()
     known = np.isfinite(basic)
     basic = np.where(known, basic, [0.0] * linear + [1.5 if name == "n2" else 0.0 for name in kind.shape])
-    model = kind.of(
-        fit.instrument.variant(fit.aperture), fit.theta_i_deg, fit.theta_o_deg, fit.polarization_of == "s"
-    )
+    model = model_of(fit) if model is None else model
     y = np.where(used, np.nan_to_num(fit.residual), 0.0)
     expected = readings(model, basic)
     y = np.where(used, y + expected, 0.0)
@@ -151,6 +150,12 @@ def data_of(fit: FitResult) -> Data:
     dof = np.where(fit.dof > 0, fit.dof, 1).astype(np.float64)
     rounding = fit.rms < _EXACT * np.max(np.abs(y), axis=0)
     return Data(model, y, w, basic, chi2, _free(fit), np.where(rounding, 0.0, chi2 / dof), fit.quantile)
+
+
+def model_of(fit: FitResult) -> FitModel:
+    """Return the model at the fit's positions, through its receiver."""
+    receiver = fit.instrument.variant(fit.aperture)
+    return fit.kind.of(receiver, fit.theta_i_deg, fit.theta_o_deg, fit.polarization_of == "s")
 
 
 def _free(fit: FitResult) -> BoolArray:
