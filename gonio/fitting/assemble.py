@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from gonio.aperture import Aperture, ApertureName
+from gonio.aperture import Aperture, ApertureName, IncidentBeam
 from gonio.fitting.columns import BoolArray, FitModel, FloatArray, readings
 from gonio.fitting.covariance import CommonMode, random_and_common, without_common
 from gonio.fitting.dispersion import Dispersion
@@ -40,6 +40,7 @@ class Setting:
     loss: Loss
     n2: str
     instrument: Aperture
+    beam: IncidentBeam | None
     sample_name: str
 
 
@@ -140,6 +141,7 @@ def assemble(
         loss=setting.loss,
         n2=setting.n2,
         instrument=setting.instrument,
+        beam=setting.beam,
         sample_name=setting.sample_name,
     )
 

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gonio.aperture import APERTURE_NAMES, Aperture, ApertureName
+from gonio.aperture import APERTURE_NAMES, Aperture, ApertureName, IncidentBeam
 from gonio.errors import FitError
 from gonio.fitting.assemble import Setting, assemble
 from gonio.fitting.columns import BoolArray, FitModel, FloatArray
 from gonio.fitting.covariance import CommonMode
 from gonio.fitting.dispersion import Dispersion, dispersion_of
 from gonio.fitting.kinds import ModelName, model_named
-from gonio.fitting.result import FitResult, IntervalMethod, PolarizationChoice
+from gonio.fitting.result import FitResult, IntervalMethod, PolarizationChoice, receiver_of
 from gonio.fitting.robust import Loss
 from gonio.fitting.shared import Detectors
 from gonio.fitting.weighing import Used, WeightMethod, solve_weighed
@@ -40,6 +40,7 @@ def fit(
     scan: Scan,
     *,
     aperture: ApertureName = "exact",
+    beam: bool = True,
     polarization: PolarizationChoice = "joint",
     model: ModelName = "published",
     n2: N2Choice = "free",
@@ -58,6 +59,9 @@ def fit(
     aperture
         ``"exact"`` integrates the scan's aperture; ``"eq22"``, ``"point"`` and ``"published"`` are the
         paper's approximations, see `gonio.aperture.Aperture.variant`.
+    beam
+        Whether the exact aperture is seen by the beam that the scan states, with its width and divergence;
+        False takes it as a line of light.
     polarization
         ``"joint"`` fits S and P with common parameters, ``"s"`` or ``"p"`` one of them alone,
         ``"shared_n2"`` both with parameters of their own but for n2.
@@ -92,6 +96,7 @@ def fit(
         scan.polarization,
         np.where(scan.usable, scan.r, np.nan),
         instrument=scan.aperture,
+        beam=scan.beam if beam else None,
         wavelength_nm=scan.wavelength_nm,
         detector_index=scan.detector_index,
         r_sd=scan.r_sd,
@@ -117,6 +122,7 @@ def fit_readings(
     r: ArrayLike,
     *,
     instrument: Aperture,
+    beam: IncidentBeam | None = None,
     wavelength_nm: ArrayLike | None = None,
     detector_index: ArrayLike | None = None,
     r_sd: ArrayLike | None = None,
@@ -135,6 +141,7 @@ def fit_readings(
 ) -> FitResult:
     """Fit plain arrays: (n,) angles in degrees, (n,) ``"s"``/``"p"``, (n, m) readings, NaN for none.
 
+    `instrument` and `beam` make the instrument function; without a beam the light is a line.
     `r_sd`, `gain_u`, `offset_u` broadcast to (n, m) and default to unknown; see `fit` and `gonio.store.Scan`.
     """
     given = {
@@ -175,7 +182,7 @@ def fit_readings(
         raise FitError(f"polarization '{polarization}' was not measured; the scan has: {have}")
     used = Used.of(readings[chosen], _sized(r_sd, n, m)[chosen], weights, len(kind.parameters))
     is_s = which[chosen] == "s"
-    bound = kind.of(instrument.variant(aperture), theta_i[chosen], theta_o[chosen], is_s)
+    bound = kind.of(receiver_of(instrument, beam, aperture), theta_i[chosen], theta_o[chosen], is_s)
     begin = bound.start(used.y, used.first_weight)
     form, begin, free, untold = _index(
         kind, n2, begin, wavelength, used.columns,
@@ -211,6 +218,7 @@ def fit_readings(
             loss=loss,
             n2=n2 if isinstance(n2, str) else "given",
             instrument=instrument,
+            beam=beam,
             sample_name=sample_name,
         ),
     )

@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 
 import gonio
-from gonio.aperture import Aperture
+from gonio.aperture import Aperture, IncidentBeam
 from gonio.errors import StoreError
 from gonio.fitting.result import FitResult
 from gonio.store.checked import Checked
@@ -45,6 +45,7 @@ _ARRAYS: tuple[tuple[str, str, str], ...] = (
     ("theta_i_deg", "deg", "incidence"),
     ("theta_o_deg", "deg", "observation angle from the normal, positive on the specular side"),
 )
+_BEAM = (("width_mm", "mm"), ("height_mm", "mm"), ("divergence_deg", "deg"))
 _NAMES = ("parameters", "mode_names", "shared_names", "remarks")
 _LATER: tuple[str, ...] = ("modes", "shared_value", "shared_covariance")
 """Fields that fits of earlier versions lack; they shared nothing."""
@@ -145,6 +146,10 @@ def _write(group: Any, fit: FitResult) -> None:
     size = group.create_group("instrument")
     for field in ("width_mm", "height_mm", "distance_mm"):
         size.create_dataset(field, data=getattr(fit.instrument, field)).attrs["units"] = "mm"
+    if fit.beam is not None:
+        beam = group.create_group("beam")
+        for field, unit in _BEAM:
+            beam.create_dataset(field, data=getattr(fit.beam, field)).attrs["units"] = unit
 
 
 def _read(group: Any, where: str) -> FitResult:
@@ -174,6 +179,9 @@ def _read(group: Any, where: str) -> FitResult:
             intervals=_text(group["intervals"]),  # type: ignore[arg-type]
             weights=_text(group["weights"]),
             sample_name=_text(group["sample_name"]),
+            beam=IncidentBeam(*(float(group["beam"][field][()]) for field, _ in _BEAM))
+            if "beam" in group
+            else None,
             instrument=Aperture(
                 *(float(group["instrument"][f][()]) for f in ("width_mm", "height_mm", "distance_mm"))
             ),

@@ -5,19 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
 from gonio import fresnel
-from gonio.aperture import Aperture, ApertureName
+from gonio.aperture import Aperture, ApertureName, IncidentBeam, InstrumentFunction, Receiver
 from gonio.fitting.columns import FitModel, readings
 from gonio.fitting.kinds import coefficient_slopes, coefficients, model_named
 from gonio.fitting.limits import is_lobe
 from gonio.fitting.robust import Loss
 from gonio.overlap import home
+
+if TYPE_CHECKING:
+    from gonio.sphere import Sphere, SphereComparison
 
 FloatArray = NDArray[np.float64]
 ApertureModel = ApertureName
@@ -29,6 +32,13 @@ _PER_WAVELENGTH = (
     "wavelength_nm", "detector_index", "value", "se", "lower", "upper", "covariance", "basic",
     "basic_covariance", "chi2", "dof", "rms", "condition",
 )  # fmt: skip
+
+
+def receiver_of(instrument: Aperture, beam: IncidentBeam | None, aperture: ApertureName) -> Receiver:
+    """Return what turns a dsf into readings; only the exact aperture knows of a beam with an extent."""
+    if beam is None or beam.is_line or aperture != "exact":
+        return instrument.variant(aperture)
+    return InstrumentFunction(instrument, beam)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,6 +107,8 @@ class FitResult:
         (n, m), standard deviation of a reading that the weights stand for, before scaling by chi2.
     theta_i_deg, theta_o_deg, polarization_of
         (n,), the positions that were fitted.
+    instrument, beam
+        The aperture, and the beam that was taken into account; None for a line of light.
     n2
         ``"free"``, ``"given"``, or the dispersion that all wavelengths share.
     """
@@ -135,6 +147,7 @@ class FitResult:
     loss: Loss
     n2: str
     instrument: Aperture
+    beam: IncidentBeam | None = None
     sample_name: str = ""
 
     @property
@@ -190,7 +203,7 @@ class FitResult:
         # both at once: tabulating the lobe costs more per call than per position
         is_s = np.concatenate([np.ones(int(np.sum(s)), bool), np.zeros(int(np.sum(p)), bool)])
         at = np.concatenate([np.flatnonzero(s), np.flatnonzero(p)])
-        receiver = self.instrument.variant(self.aperture)
+        receiver = receiver_of(self.instrument, self.beam, self.aperture)
         basic, known = self._whole_basic()
         if self.polarization == "shared_n2":  # its model needs both polarizations
             at, is_s = np.concatenate([at, at[:1], at[:1]]), np.concatenate([is_s, [True, False]])
@@ -280,11 +293,17 @@ class FitResult:
 
         return band_table(self, bands, truth=truth, sphere=sphere, detector_names=detector_names)
 
+    def compare(self, sphere: Sphere, *, detector_names: Sequence[str] = ()) -> SphereComparison:
+        """Return the coefficients beside an integrating sphere; see `gonio.sphere.compare`."""
+        from gonio.sphere import compare
+
+        return compare(self, sphere, detector_names=detector_names)
+
     def save(self, path: Path | str, name: str | None = None) -> str:
         """Store in a scan file as ``/entry/fit_NAME``, replacing one of that name; return NAME.
 
-        `name` is ``{aperture}_{polarization}`` unless given, followed by the model, n2 and loss where they are
-        not those of a plain fit.  `StoreError` if the file cannot be written.
+        `name` is ``{aperture}_{polarization}`` unless given, followed by the model, n2 and loss where they
+        are not those of a plain fit.  `StoreError` if the file cannot be written.
         """
         from gonio.fitting.file import save_fit
 
