@@ -70,16 +70,24 @@ class Directions:
         `offset` is the in-plane angle from the mirror direction: ``o = (sin(t) cos(psi), sin(psi), cos(t)
         cos(psi))``, ``t = theta_i + offset``, ``dOmega = cos(psi) dpsi dt``.
         """
-        i, u, p = (np.asarray(x, np.float64) for x in (theta_i, offset, psi))
-        t, rise = i + u, 2.0 * np.sin(0.5 * p) ** 2  # rise = 1 - cos(psi)
-        sin_t, cos_i, cos_p = np.sin(t), np.cos(i), np.cos(p)
-        cos_o = np.cos(t) * cos_p
-        dx = 2.0 * np.cos(i + 0.5 * u) * np.sin(0.5 * u) - sin_t * rise
+        p = np.asarray(psi, np.float64)
+        return cls.tilted(theta_i, offset, np.cos(p), np.sin(p))
+
+    @classmethod
+    def tilted(
+        cls, theta_i: ArrayLike, offset: ArrayLike, cos_psi: ArrayLike, sin_psi: ArrayLike
+    ) -> Directions:
+        """Return the pairs of `off_plane` from cosine and sine of psi, ``|psi| <= 90 deg``."""
+        i, u, cos_p, sin_p = (np.asarray(x, np.float64) for x in (theta_i, offset, cos_psi, sin_psi))
+        across2, middle = sin_p**2, np.cos(i + 0.5 * u)
+        rise = across2 / (1.0 + cos_p)  # 1 - cos(psi)
+        cos_i, cos_o = np.cos(i), np.cos(i + u) * cos_p
+        dx = 2.0 * middle * np.sin(0.5 * u) - np.sin(i + u) * rise
         return cls(
             cos_i,
             cos_o,
             2.0 * np.sin(0.5 * u) ** 2 + np.cos(u) * rise,
-            np.sqrt(np.cos(i + 0.5 * u) ** 2 * cos_p + 0.5 * rise),
-            dx**2 + np.sin(p) ** 2,
+            np.sqrt(middle**2 * cos_p + 0.5 * rise),
+            dx**2 + across2,
             (cos_i + cos_o) ** 2,
         )

@@ -9,6 +9,7 @@ import numpy as np
 from gonio.brdf import ScatteringModel
 from gonio.errors import FitError
 from gonio.fitting.columns import FitModel, FloatArray
+from gonio.fitting.models import FIT_MODELS
 from gonio.fitting.problem import Problem
 from gonio.fitting.separate import SeparateSurfaces, separate_surfaces
 from gonio.fresnel import Polarization
@@ -16,9 +17,9 @@ from gonio.fresnel import Polarization
 if TYPE_CHECKING:
     from gonio.fitting.result import PolarizationChoice
 
-ModelName = Literal["published"]
+ModelName = Literal["published", "phong", "reciprocal", "lambert", "ggx", "coupled"]
 
-_KINDS: dict[str, type[FitModel]] = {"published": Problem}
+_KINDS: dict[str, type[FitModel]] = {"published": Problem, **FIT_MODELS}
 
 
 def model_named(name: str, polarization: PolarizationChoice = "joint") -> type[FitModel]:
