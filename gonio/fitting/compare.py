@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
 from gonio.aperture import ApertureName
 from gonio.fitting.estimate import fit
 from gonio.fitting.result import FitResult, PolarizationChoice
+from gonio.fitting.selection import akaike, runs_probability
 from gonio.overlap import home
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ THETA_I_DEG = 8.0
 """Incidence of the hemispherical coefficients: the integrating sphere's."""
 
 _COEFFICIENTS = ("k_d", "k_s", "k_g")
-_SAME_INCIDENCE_DEG = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,59 +190,3 @@ def _variant(result: FitResult, duration_s: float) -> Variant:
         ),
         duration_s,
     )
-
-
-def akaike(result: FitResult) -> FloatArray:
-    """Return AICc, (m,), of weighted least squares with the scale of the variance fitted too.
-
-    ``n ln(chi2 / n) + 2 K + 2 K (K + 1)/(n - K - 1)``, K the parameters and the scale (Hurvich and
-    Tsai 1989). The weights' own part is left out, so that only fits with the same weights can be compared.
-    """
-    n = np.sum(np.isfinite(result.residual), axis=0).astype(np.float64)
-    k = n - result.dof + 1.0
-    good = (n > k + 1.0) & (result.chi2 > 0.0)
-    n, k = np.where(good, n, 10.0), np.where(good, k, 1.0)
-    value = n * np.log(np.where(good, result.chi2, 1.0) / n) + 2.0 * k + 2.0 * k * (k + 1.0) / (n - k - 1.0)
-    return np.where(good, value, np.nan)
-
-
-def runs_probability(
-    residual: FloatArray, theta_i_deg: FloatArray, theta_o_deg: FloatArray, is_s: NDArray[np.bool_]
-) -> FloatArray:
-    """Return the probability of as few runs of residuals of one sign by chance, (m,).
-
-    Wald and Wolfowitz (1940), along theta_o within each incidence and polarization; the counts of these
-    sweeps are added.  A model of the wrong shape leaves residuals that keep their sign from position to
-    position, and a small probability; so does a baseline error of one polarization.
-
-    Parameters
-    ----------
-    residual
-        (n, m), NaN where a reading was not used.
-    theta_i_deg, theta_o_deg, is_s
-        (n,) positions; incidences within half a degree are one.
-    """
-    excess, variance = np.zeros(residual.shape[1]), np.zeros(residual.shape[1])
-    order = np.argsort(theta_i_deg, kind="stable")
-    steps = np.concatenate([[0], np.cumsum(np.diff(theta_i_deg[order]) > _SAME_INCIDENCE_DEG)])
-    sweep = np.empty(len(order), int)
-    sweep[order] = steps
-    for number in range(int(steps[-1]) + 1):
-        for chosen in (is_s, ~is_s):
-            rows = np.flatnonzero((sweep == number) & chosen)
-            if not rows.size:
-                continue
-            sign = np.sign(np.nan_to_num(residual[rows[np.argsort(theta_o_deg[rows], kind="stable")]]))
-            above, below = np.sum(sign > 0.0, axis=0), np.sum(sign < 0.0, axis=0)
-            # a reading that was not used takes the sign before it, and begins no run
-            last = np.maximum.accumulate(np.where(sign != 0.0, np.arange(rows.size)[:, None], -1), axis=0)
-            held = np.where(last >= 0, np.take_along_axis(sign, np.maximum(last, 0), axis=0), 0.0)
-            runs = 1.0 + np.sum((held[1:] != held[:-1]) & (held[:-1] != 0.0), axis=0)
-            count, product = (above + below).astype(np.float64), 2.0 * above * below
-            both = product > 0.0
-            count = np.where(both, count, 2.0)
-            excess += np.where(both, runs - 1.0 - product / count, 0.0)
-            variance += np.where(both, product * (product - count) / (count**2 * (count - 1.0)), 0.0)
-    known = variance > 0.0
-    z = (excess + 0.5) / np.sqrt(np.where(known, variance, 1.0))  # a count of k reaches to k + 1/2
-    return np.where(known, special.ndtr(z), np.nan)

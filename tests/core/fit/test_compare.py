@@ -13,7 +13,8 @@ from simulated_readings import FloatArray, Positions, fresnel_textbook
 
 from gonio.aperture import Aperture
 from gonio.brdf import PublishedLobe
-from gonio.fitting.compare import COMPARED, akaike, compare_apertures, runs_probability
+from gonio.fitting.compare import COMPARED, compare_apertures
+from gonio.fitting.selection import akaike, runs_probability
 from gonio.store import Scan
 
 Readings = Callable[..., FloatArray]
