@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from gonio.aperture import Aperture
 from gonio.fitting import fit_readings
-from gonio.fitting.problem import Problem, published_jacobian
+from gonio.fitting.columns import jacobian, readings
+from gonio.fitting.problem import Problem
 
 FloatArray = NDArray[np.float64]
 ARTA = Aperture(26.0, 18.0, 95.2353)
@@ -42,11 +43,11 @@ def with_scipy(problem: Problem, y: FloatArray, truth: FloatArray) -> FloatArray
     from scipy.optimize import least_squares
 
     def residual(p: FloatArray) -> FloatArray:
-        return problem.model(basic_of(p))[:, 0] - y
+        return readings(problem, basic_of(p))[:, 0] - y
 
     def jacobian(p: FloatArray) -> FloatArray:
         basic = basic_of(p)
-        return problem.jacobian(basic)[0] @ np.linalg.inv(published_jacobian(basic)[0])
+        return jacobian(problem, basic)[0] @ np.linalg.inv(problem.published_jacobian(basic)[0])
 
     return least_squares(
         residual, truth, jac=jacobian, x_scale=truth, xtol=1e-14, ftol=1e-14, gtol=1e-14, method="lm"
@@ -60,7 +61,7 @@ def with_lmfit(problem: Problem, y: FloatArray, truth: FloatArray) -> FloatArray
     parameters = lmfit.create_params(**dict(zip(names, map(float, truth), strict=True)))
 
     def residual(p: lmfit.Parameters) -> FloatArray:
-        return problem.model(basic_of(np.array([p[name].value for name in names])))[:, 0] - y
+        return readings(problem, basic_of(np.array([p[name].value for name in names])))[:, 0] - y
 
     result = lmfit.minimize(residual, parameters, xtol=1e-14, ftol=1e-14)
     return np.array([result.params[name].value for name in names])
@@ -80,7 +81,7 @@ def main() -> None:
         [np.full(m, 0.72), np.full(m, 1.0), np.linspace(40.0, 400.0, m), np.linspace(1.55, 1.45, m)], 1
     )
     rng = np.random.default_rng(1)
-    exact = np.concatenate([problem.model(basic_of(t)) for t in truth], axis=1)
+    exact = np.concatenate([readings(problem, basic_of(t)) for t in truth], axis=1)
     y = exact * (1.0 + 0.005 * rng.standard_normal(exact.shape))
     at = (theta_i, theta_o, polarization)
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.aperture import Receiver
+from gonio.aperture import InstrumentFunction, Receiver
 
 FloatArray = NDArray[np.float64]
 
@@ -38,21 +38,37 @@ class LobeTable:
     def of(cls, receiver: Receiver, theta_i_deg: FloatArray, theta_o_deg: FloatArray) -> LobeTable:
         """Tabulate the lobe term of a receiver at n positions, (n,) angles each, degrees."""
         position, inverse = np.unique(np.stack([theta_i_deg, theta_o_deg]), axis=1, return_inverse=True)
+        log_alpha = _nodes()
+        values = receiver.lobe_table(np.exp(log_alpha), position[0] - position[1], position[1], position[0])
+        return cls._of_values(receiver, log_alpha, values, inverse.ravel())
+
+    @classmethod
+    def moments_of(
+        cls, receiver: InstrumentFunction, theta_i_deg: FloatArray, theta_o_deg: FloatArray, count: int
+    ) -> tuple[LobeTable, ...]:
+        """Tabulate the lobe times the Legendre polynomials of the beam's tilt, see `lobe_moments`."""
+        position, inverse = np.unique(np.stack([theta_i_deg, theta_o_deg]), axis=1, return_inverse=True)
+        log_alpha = _nodes()
+        moments = receiver.lobe_moments(
+            np.exp(log_alpha), position[0] - position[1], position[1], position[0], count=count
+        )
+        return tuple(cls._of_values(receiver, log_alpha, values, inverse.ravel()) for values in moments)
+
+    @classmethod
+    def _of_values(
+        cls, receiver: Receiver, log_alpha: FloatArray, values: FloatArray, inverse: NDArray[np.intp]
+    ) -> LobeTable:
+        low, high = np.log(ALPHA_MIN), np.log(ALPHA_MAX)
         k = np.arange(_DEGREE)
         angle = np.pi * (k + 0.5) / _DEGREE
-        low, high = np.log(ALPHA_MIN), np.log(ALPHA_MAX)
-        log_alpha = 0.5 * (low + high) + 0.5 * (high - low) * np.cos(angle)
-        values = receiver.lobe_table(np.exp(log_alpha), position[0] - position[1], position[1], position[0])
         values = values / _growth(log_alpha, receiver.solid_angle_sr, receiver.lobe_growth)[0][:, None]
         c = 2.0 / _DEGREE * np.cos(np.outer(k, angle)) @ values
         c[0] *= 0.5
         first = np.polynomial.chebyshev.chebder(c, 1, scl=2.0 / (high - low))
         second = np.polynomial.chebyshev.chebder(c, 2, scl=2.0 / (high - low))
-        stack = np.zeros((3, _DEGREE, position.shape[1]))
+        stack = np.zeros((3, _DEGREE, values.shape[1]))
         stack[0], stack[1, :-1], stack[2, :-2] = c, first, second
-        return cls(
-            np.ascontiguousarray(stack[:, :, inverse.ravel()]), receiver.solid_angle_sr, receiver.lobe_growth
-        )
+        return cls(np.ascontiguousarray(stack[:, :, inverse]), receiver.solid_angle_sr, receiver.lobe_growth)
 
     def evaluate(self, log_alpha: FloatArray, *, derivatives: int = 0) -> tuple[FloatArray, ...]:
         """Return the lobe term (n, m) at m values of log(alpha), and its derivatives by log(alpha)."""
@@ -67,6 +83,13 @@ class LobeTable:
         if derivatives > 1:
             result.append(f[2] * g + 2.0 * f[1] * g1 + f[0] * g2)
         return tuple(result)
+
+
+def _nodes() -> FloatArray:
+    """Return the Chebyshev nodes in log(alpha), (_DEGREE,)."""
+    low, high = np.log(ALPHA_MIN), np.log(ALPHA_MAX)
+    angle = np.pi * (np.arange(_DEGREE) + 0.5) / _DEGREE
+    return np.asarray(0.5 * (low + high) + 0.5 * (high - low) * np.cos(angle))
 
 
 def _growth(

@@ -10,6 +10,7 @@ fit works in these **basic** parameters (rho_d, k_n, log_alpha, n2) and transfor
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -17,15 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio import fresnel
-from gonio.aperture import Receiver
+from gonio.aperture import InstrumentFunction, Receiver
 from gonio.brdf import PublishedLobe
-from gonio.fitting.columns import BoolArray, Columns, FloatArray, jacobian, readings
+from gonio.fitting.columns import BoolArray, Columns, FloatArray
 from gonio.fitting.lobe_table import ALPHA_MAX, ALPHA_MIN, LobeTable
 
 N2_MIN, N2_MAX = 1.001, 10.0
 """Range of the fit.  At its ends the angular trend of R no longer changes; a fit that ends there says so."""
 
 _N2_STEP = 1e-5  # of the central difference of q'; it enters the second derivative alone
+_POLARIZATIONS: tuple[fresnel.Polarization, fresnel.Polarization] = ("s", "p")
+_TILTS = 3  # Legendre polynomials of R over the divergence; the next is below 1e-6 of R at 2 deg
 _BLOCK = 256  # wavelengths worked on together: scratch arrays stay in the cache
 
 _GRID_LOG_ALPHA = np.linspace(np.log(ALPHA_MIN), np.log(ALPHA_MAX), 49)
@@ -44,10 +47,10 @@ class Problem:
     low: ClassVar[FloatArray] = np.array([np.log(ALPHA_MIN), N2_MIN])
     high: ClassVar[FloatArray] = np.array([np.log(ALPHA_MAX), N2_MAX])
 
-    theta_i_deg: FloatArray  # (n,)
-    is_s: BoolArray  # (n,)
     diffuse: FloatArray  # (n,)
     lobe: LobeTable
+    tilted: tuple[LobeTable, ...]  # the lobe times P_1, P_2 of the tilt of a divergent beam's light
+    divergence_deg: float
     incidence: NDArray[np.intp]  # (n,) index into `groups`
     groups: tuple[tuple[float, bool], ...]  # distinct (theta_i, is_s)
 
@@ -59,11 +62,16 @@ class Problem:
         pairs, index = np.unique(
             np.stack([theta_i_deg, is_s.astype(np.float64)]), axis=1, return_inverse=True
         )
+        divergence_deg = receiver.beam.divergence_deg if isinstance(receiver, InstrumentFunction) else 0.0
+        if isinstance(receiver, InstrumentFunction) and divergence_deg > 0.0:
+            lobe, *tilted = LobeTable.moments_of(receiver, theta_i_deg, theta_o_deg, _TILTS)
+        else:
+            lobe, tilted = LobeTable.of(receiver, theta_i_deg, theta_o_deg), []
         return cls(
-            theta_i_deg,
-            is_s,
             receiver.diffuse_integral(theta_o_deg, theta_i_deg),
-            LobeTable.of(receiver, theta_i_deg, theta_o_deg),
+            lobe,
+            tuple(tilted),
+            divergence_deg,
             index.ravel(),
             tuple((float(theta), bool(s)) for theta, s in pairs.T),
         )
@@ -92,41 +100,57 @@ class Problem:
         return j
 
     def ratio(self, n2: FloatArray) -> FloatArray:
-        """Return q, (n, m), for m indices."""
-        return self._by_group(fresnel.reflectance_ratio, n2)
+        """Return q, (n, m), for m indices, the mean over the beam's directions."""
+        return self._by_group(fresnel.reflectance_ratio, n2)[0]
 
-    def ratio_dn2(self, n2: FloatArray) -> FloatArray:
-        """Return dq/dn2, (n, m)."""
-        return self._by_group(fresnel.reflectance_ratio_dn2, n2)
+    def _by_group(self, function: fresnel.RatioFunction, n2: FloatArray) -> list[FloatArray]:
+        """Return the coefficients c_k, (n, m) each, of ``q(theta_i + a) = sum c_k P_k(2a / divergence)``.
 
-    def ratio_d2n2(self, n2: FloatArray) -> FloatArray:
-        """Return the second derivative of q, (n, m), by central difference."""
-        high, low = self.ratio_dn2(n2 + _N2_STEP), self.ratio_dn2(n2 - _N2_STEP)
-        return np.asarray((high - low) / (2.0 * _N2_STEP))
-
-    def _by_group(self, function: fresnel.RatioFunction, n2: FloatArray) -> FloatArray:
-        rows = np.empty((len(self.groups), n2.size))
-        choices: tuple[tuple[fresnel.Polarization, bool], ...] = (("s", True), ("p", False))
-        for polarization, wanted in choices:
+        Light tilted out of the plane by b is a little more oblique, and its own plane of incidence is turned
+        about the ray by nearly ``b / tan(theta_i)``: of what is S to the instrument the square of that is P
+        to the sample, and the other way round.
+        """
+        out = np.deg2rad(self.divergence_deg) / np.sqrt(12.0)  # standard deviation of b
+        tilts, legendre = _tilt_rule(len(self.tilted) + 1)
+        rows = np.empty((len(tilts), len(self.groups), n2.size))
+        for wanted in (True, False):
             pick = [k for k, (_, is_s) in enumerate(self.groups) if is_s is wanted]
+            if not pick:
+                continue
+            own, other = _POLARIZATIONS if wanted else _POLARIZATIONS[::-1]
             theta = np.array([self.groups[k][0] for k in pick])[:, None]
-            if pick:
-                rows[pick] = function(n2, theta, polarization)
-        return rows[self.incidence]
+            for node, tilt in enumerate(tilts.tolist()):
+                at = np.abs(theta + 0.5 * self.divergence_deg * tilt)
+                if out == 0.0:
+                    rows[node, pick] = function(n2, at, own)
+                    continue
+                # light from beyond the horizon meets no sample
+                at = np.rad2deg(np.arccos(np.clip(np.cos(np.deg2rad(at)) * np.cos(out), 0.0, 1.0)))
+                turned = (np.sin(out) * np.cos(np.deg2rad(theta))) ** 2
+                mixed = turned / (turned + np.sin(np.deg2rad(theta)) ** 2)
+                rows[node, pick] = (1.0 - mixed) * function(n2, at, own) + mixed * function(n2, at, other)
+        rows = np.einsum("kj,jgm->kgm", legendre, rows) if self.tilted else rows
+        return [row[self.incidence] for row in rows]
+
+    def _second(self, n2: FloatArray) -> list[FloatArray]:
+        """Return the second derivatives of the coefficients by n2, by central difference."""
+        high, low = (self._by_group(fresnel.reflectance_ratio_dn2, n2 + x) for x in (_N2_STEP, -_N2_STEP))
+        return [(h - x) / (2.0 * _N2_STEP) for h, x in zip(high, low, strict=True)]
 
     def columns(self, x: FloatArray, order: int = 0) -> Columns:
         """Return the two columns at (log_alpha, n2), (m, 2), and their derivatives up to `order`."""
-        lobes = self.lobe.evaluate(x[:, 0], derivatives=order)
-        d, q = self.diffuse[:, None], self.ratio(x[:, 1])
-        value = (d, q * lobes[0])
+        tables = (self.lobe, *self.tilted)
+        lobes = [table.evaluate(x[:, 0], derivatives=order) for table in tables]
+        d, q = self.diffuse[:, None], self._by_group(fresnel.reflectance_ratio, x[:, 1])
+        value = (d, _product(q, lobes, 0))
         if order == 0:
             return Columns(value)
-        q_n = self.ratio_dn2(x[:, 1])
-        first = ((None, None), (q * lobes[1], q_n * lobes[0]))
+        q_n = self._by_group(fresnel.reflectance_ratio_dn2, x[:, 1])
+        first = ((None, None), (_product(q, lobes, 1), _product(q_n, lobes, 0)))
         if order == 1:
             return Columns(value, first)
-        mixed, none = q_n * lobes[1], (None, None)
-        curve = ((q * lobes[2], mixed), (mixed, self.ratio_d2n2(x[:, 1]) * lobes[0]))
+        mixed, none = _product(q_n, lobes, 1), (None, None)
+        curve = ((_product(q, lobes, 2), mixed), (mixed, _product(self._second(x[:, 1]), lobes, 0)))
         return Columns(value, first, ((none, none), curve))
 
     def start(self, y: FloatArray, w: FloatArray) -> FloatArray:
@@ -164,13 +188,18 @@ class Problem:
             best[at : at + _BLOCK] = np.stack([_GRID_LOG_ALPHA[alpha], _GRID_N2[n2]], axis=1)
         return best
 
-    def model(self, basic: FloatArray) -> FloatArray:
-        """Return the readings, (n, m), of m sets of basic parameters (m, 4)."""
-        return readings(self, basic)
 
-    def jacobian(self, basic: FloatArray) -> FloatArray:
-        """Return the derivatives of the readings by the basic parameters, (m, n, 4)."""
-        return jacobian(self, basic)
+def _product(q: list[FloatArray], lobes: list[tuple[FloatArray, ...]], order: int) -> FloatArray:
+    """Return ``sum_k q_k L_k``, (n, m), with a derivative of the lobe."""
+    total = q[0] * lobes[0][order]
+    for coefficient, lobe in zip(q[1:], lobes[1:], strict=True):
+        total += coefficient * lobe[order]
+    return total
 
 
-published_from_basic, published_jacobian = Problem.published, Problem.published_jacobian
+@functools.cache
+def _tilt_rule(count: int) -> tuple[FloatArray, FloatArray]:
+    """Return Gauss nodes (count,) and the matrix from values there to Legendre coefficients."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    vandermonde = np.polynomial.legendre.legvander(nodes, count - 1)
+    return nodes, (2.0 * np.arange(count)[:, None] + 1.0) / 2.0 * (vandermonde * weights[:, None]).T
