@@ -154,7 +154,9 @@ def data_of(fit: FitResult, model: FitModel | None = None) -> Data:
 
 def model_of(fit: FitResult) -> FitModel:
     """Return the model at the fit's positions, through its receiver."""
-    receiver = fit.instrument.variant(fit.aperture)
+    from gonio.fitting.result import receiver_of
+
+    receiver = receiver_of(fit.instrument, fit.beam, fit.aperture)
     return fit.kind.of(receiver, fit.theta_i_deg, fit.theta_o_deg, fit.polarization_of == "s")
 
 

@@ -24,6 +24,7 @@ from gonio.rig.tables import (
     StageConfig,
     WireConfig,
 )
+from gonio.rig.uncertainty import UncertaintyConfig
 
 
 class RigConfig(Strict):
@@ -33,6 +34,7 @@ class RigConfig(Strict):
     aperture: ApertureConfig
     beam: BeamConfig | None = None  # None: not said, and the fit takes a line of light without width
     baseline: BaselineConfig = BaselineConfig()
+    uncertainty: UncertaintyConfig | None = None  # None: nothing said, and a budget takes all as exact
     stage: StageConfig
     polarizer: PolarizerConfig
     spectrometer: SpectrometerConfig
