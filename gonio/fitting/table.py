@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -23,6 +24,7 @@ BANDS = tuple(itertools.pairwise(_EDGES_NM))
 THETA_I_DEG = 8.0
 """Incidence of k_s and k_g in the table: the integrating sphere's."""
 
+_WIDTH = 100
 _DIGITS = {
     "rho_d": 4, "rho_s": 3, "alpha": 1, "n2": 3, "roughness": 4, "k_d": 4, "k_s": 4, "k_g": 4,
 }  # fmt: skip
@@ -70,13 +72,14 @@ def band_table(
         of_sphere = sphere if sphere is not None and "k_g" in names and "k_g" in sphere else None
         lines += [*_block(fit, {name: columns[name] for name in names}, rows, truth, of_sphere), ""]
     lines.append(
-        f"mean ± half its 95 % interval; k at {THETA_I_DEG:g} deg, S/P mean, lobe above the horizon; "
-        f"aperture '{fit.aperture}', polarization '{fit.polarization}'"
+        f"mean ± half its 95 % interval; k at {THETA_I_DEG:g} deg, S/P mean, lobe above the horizon;\n"
+        f"model '{fit.model}', aperture '{fit.aperture}', polarization '{fit.polarization}'"
     )
     ratios = detector_ratios(whole)
     if ratios:
         lines += ["detectors where both measured:", *(f"  {ratio.text(detector_names)}" for ratio in ratios)]
-    lines.extend(f"  {remark}" for remark in whole.remarks)
+    for remark in whole.remarks:
+        lines += textwrap.wrap(remark, _WIDTH, initial_indent="  ", subsequent_indent="    ")
     lines.extend(_remarks(whole))
     return "\n".join(lines)
 
