@@ -6,31 +6,41 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
-
+from gonio.cli.fit_options import FitRequest
 from gonio.cli.progress import progress_bar, readable_duration
+from gonio.cli.sphere import SphereRequest, bring_in, sphere_text
 from gonio.devices import FloatArray
 from gonio.errors import ConfigError, StoreError
-from gonio.fitting import ApertureModel, FitResult, PolarizationChoice
+from gonio.fitting import FitResult, PolarizationChoice
 from gonio.fitting import fit as fit_scan
+from gonio.fitting.compare import compare_apertures
 from gonio.store import Scan, load, read_spectrum
 
-COMPARED: tuple[ApertureModel, ...] = ("point", "eq22", "published", "exact")
 
-
-def fit(path: Path, aperture: ApertureModel, polarization: PolarizationChoice, *, compare: bool) -> int:
+def fit(
+    path: Path,
+    request: FitRequest,
+    *,
+    compare: bool,
+    sphere: SphereRequest | None = None,
+) -> int:
     """Fit a scan, store the result beside the data, print the table."""
     scan = load(path)
+    if sphere is not None:
+        bring_in(path, sphere)
     if compare:
-        _compare(scan, polarization)
+        _compare(scan, request)
     start = time.perf_counter()
-    result = fit_scan(scan, aperture=aperture, polarization=polarization)
+    result = fit_scan(scan, **request.arguments(scan))
     duration_s = time.perf_counter() - start
     result.save(path)
     print(fit_table(scan, result))
+    against = sphere_text(scan, result)
+    if against:
+        print(f"\n{against}\n")
     print(
-        f"{len(result.wavelength_nm)} wavelengths, {scan.r.shape[0]} positions, aperture '{aperture}', "
-        f"polarization '{polarization}': {readable_duration(duration_s)}; stored in {path}"
+        f"{len(result.wavelength_nm)} wavelengths, {len(result.theta_i_deg)} positions, {request.title}: "
+        f"{readable_duration(duration_s)}; stored in {path}"
     )
     return 0
 
@@ -53,30 +63,15 @@ def _columns(path: Path, group: str) -> dict[str, FloatArray] | None:
         return None
 
 
-def _compare(scan: Scan, polarization: PolarizationChoice) -> None:
-    print(
-        "aperture model       rho_d     rho_s     alpha        n2    k_d(8)    k_s(8)    residual      time"
-    )
-    for aperture in COMPARED:
-        start = time.perf_counter()
-        result = fit_scan(scan, aperture=aperture, polarization=polarization)
-        duration_s = time.perf_counter() - start
-        k = result.hemispherical(8.0)
-        medians = [*np.nanmedian(result.value, axis=0), np.nanmedian(k.k_d.value), np.nanmedian(k.k_s.value)]
-        rms = float(np.nanmedian(result.rms))
-        print(
-            f"{aperture:<16}"
-            + "".join(f"{value:>10.4g}" for value in medians)
-            + f"{rms:>12.2e}{duration_s:>8.2f} s"
+def _compare(scan: Scan, request: FitRequest) -> None:
+    if request.model != "published" or request.polarization == "shared_n2":
+        raise ConfigError(
+            "--compare shows what the paper's aperture models do to its own lobe; leave --model and "
+            "--polarization shared_n2 out"
         )
-    truth = _columns(scan.path, "simulated_truth")
-    if truth is not None:
-        known = [
-            np.median(np.interp(scan.wavelength_nm, truth["wavelength_nm"], truth[name]))
-            for name in ("rho_d", "rho_s", "alpha", "n2", "k_d", "k_s")
-        ]
-        print(f"{'true':<16}" + "".join(f"{value:>10.4g}" for value in known))
-    print("Medians over the wavelengths; the residual is the root mean square of data minus fit, in r.\n")
+    polarization: PolarizationChoice = request.polarization  # type: ignore[assignment]
+    found = compare_apertures(scan, polarization=polarization, truth=_columns(scan.path, "simulated_truth"))
+    print(found.table() + "\n")
 
 
 def facade(scene_file: Path, output: Path, *, rel_tol: float, seed: int, threads: int | None) -> int:

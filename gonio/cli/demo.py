@@ -15,6 +15,7 @@ from gonio.bench_process import served
 from gonio.cli.acquisition import acquire, continue_scan, refuse_bad_plan
 from gonio.cli.analysis import fit_table
 from gonio.cli.progress import progress_bar, readable_duration
+from gonio.cli.sphere import sphere_text
 from gonio.errors import ConfigError, StoreError
 from gonio.plan import Plan, estimate
 from gonio.rig import RigConfig, load_rig
@@ -102,7 +103,7 @@ def _fit(path: Path) -> None:
     ):  # the paper's Figure 12 shows n2 of S alone and P alone beside the joint one
         fit(scan, aperture="exact", polarization=polarization).save(path)
     print(f"3  Fit, S and P jointly, exact aperture: {readable_duration(duration_s)}\n")
-    print(fit_table(scan, joint))
+    print(f"{fit_table(scan, joint)}\n\n{sphere_text(scan, joint)}")
 
 
 def _facade(scene_file: Path, path: Path) -> None:

@@ -12,6 +12,8 @@ from pathlib import Path
 from types import FrameType
 
 from gonio import __version__
+from gonio.cli.fit_options import add_fit_options, fit_request
+from gonio.cli.sphere import add_sphere_options, sphere_request
 from gonio.errors import GonioError, ScanStopped
 
 ELSEWHERE = {
@@ -73,9 +75,9 @@ def build_parser() -> argparse.ArgumentParser:
 
     fit = commands.add_parser("fit", help="fit the BRDF, store it beside the data, print the table")
     fit.add_argument("scan", type=Path, metavar="FILE.h5")
-    fit.add_argument("--aperture", choices=["exact", "eq22", "point", "published"], default="exact")
-    fit.add_argument("--polarization", choices=["joint", "s", "p"], default="joint")
+    add_fit_options(fit)
     fit.add_argument("--compare", action="store_true", help="the four aperture models side by side")
+    add_sphere_options(fit)
 
     facade = commands.add_parser(
         "facade", help="irradiance of a street scene, with standard errors and contributions"
@@ -197,7 +199,12 @@ def _run(options: argparse.Namespace) -> int:
     if options.command == "fit":
         from gonio.cli.analysis import fit
 
-        return fit(options.scan, options.aperture, options.polarization, compare=options.compare)
+        return fit(
+            options.scan,
+            fit_request(options),
+            compare=options.compare,
+            sphere=sphere_request(options),
+        )
     if options.command == "facade":
         from gonio.cli.analysis import facade
 

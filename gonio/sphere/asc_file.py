@@ -140,12 +140,23 @@ def _points(path: Path, lines: list[str], begin: int) -> tuple[FloatArray, Float
         rows.append(number)
         x.append(values[0])
         y.append(values[1])
+    last = rows[-2:]
+    if len(last) == 2 and last[1] == len(lines) and _decimals(lines[-1]) < _decimals(lines[last[0] - 1]):
+        raise StoreError(
+            f"{path}, line {last[1]}: '{clipped(lines[-1], 60)}' ends the file within a number; it is cut "
+            "short, export it again"
+        )
     if comma and point:
         raise StoreError(
             f"{path}: line {comma} has a decimal comma, line {point} a decimal point; one of them is no "
             "decimal sign, export it again"
         )
     return np.array(x, np.float64), np.array(y, np.float64), rows
+
+
+def _decimals(line: str) -> int:
+    """Return the decimals of the last number in a line; the instrument's software writes six."""
+    return len(re.split("[.,]", line)[-1]) if re.search("[.,][0-9]*$", line) else 0
 
 
 def changes_of(text: str) -> tuple[float, ...] | None:

@@ -25,7 +25,7 @@ FloatArray = NDArray[np.float64]
 
 COLUMN_OPTION = "--sphere-column"
 _OURS = ("k_g", "k_d")
-_NUMBERS = re.compile(r'\s*"?[+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?"?\s*(?:[,;\t]|$)')
+_NUMBERS = re.compile(r'\s*"?[+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?"?\s*(?:[,;\t]|$)', re.ASCII)
 _MOST_COLUMNS = 100
 _UNITS = {"nm": 1.0, "nanometer": 1.0, "nanometers": 1.0, "nanometre": 1.0, "nanometres": 1.0, "um": 1e3,
           "µm": 1e3, "μm": 1e3, "micron": 1e3, "microns": 1e3}  # fmt: skip

@@ -12,6 +12,9 @@ LARGEST_BYTES = 20_000_000
 """200...2500 nm in steps of 0.01 nm, 25 bytes a line, is 6 MB."""
 MOST_POINTS = 500_000
 _LINE_ENDS = re.compile(r"\r\n|\n|\r")  # str.splitlines would also cut at characters of latin-1 texts
+_NUMBER = re.compile(
+    r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:e[+-]?[0-9]+)?|[+-]?(?:nan|inf)", re.IGNORECASE
+)  # float() also takes 1_000 and digits of other scripts
 
 
 def read_bytes(path: Path) -> bytes:
@@ -71,8 +74,8 @@ def number_of(cell: str) -> float | None:
         if "." in text or text.count(",") > 1:
             return None
         text = text.replace(",", ".")
-    if not re.fullmatch(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)", text, re.IGNORECASE):
-        return None  # float() also takes 1_000 and digits of other scripts
+    if not _NUMBER.fullmatch(text):
+        return None
     return float(text)
 
 
