@@ -3,8 +3,9 @@
 Every stated input shifts all readings together; the fit follows with ``-(J'WJ)^-1 J'W dr``, which is the
 change of the result when another value of the input is used for the same readings (JCGM 100:2008, 5.1.3).
 These shifts are the **modes** of a fit: they are no scatter, more positions or wavelengths do not average
-them out.  The combined uncertainty adds their squares to those of the noise and of the baseline and dark readings;
-it is expanded by Student's t for its effective degrees of freedom (Welch-Satterthwaite, JCGM 100:2008, G.4).
+them out.  The combined uncertainty adds their squares to those of the noise and of the baseline and dark
+readings; it is expanded by Student's t for its effective degrees of freedom (Welch-Satterthwaite, JCGM
+100:2008, G.4).
 
 An input whose effect is even has no first order: its line is the root mean square of the effect, ``sqrt(E
 x^4) r'' / 2``, which holds the bias that is not corrected too (JCGM 100:2008, note to 5.1.2).
@@ -133,8 +134,8 @@ def budget(fit: FitResult, stated: UncertaintyConfig | None, *, theta_i_deg: flo
     Notes
     -----
     The changes of the readings are those of the exact aperture, whatever approximation was fitted, of a line
-    of light.  The shift by a wrong wavelength is the slope of the fitted parameters over the wavelengths of one
-    detector, by central differences.
+    of light.  The shift by a wrong wavelength is the slope of the fitted parameters over the wavelengths of
+    one detector, by central differences.
     """
     if any(not name.startswith("shared") for name in fit.mode_names):
         raise FitError(

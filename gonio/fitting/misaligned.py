@@ -28,7 +28,7 @@ BoolArray = NDArray[np.bool_]
 
 _NODES_PER_SIGMA = 1.2
 _FEWEST = 4
-_MOST_POINTS = 4_000_000  # at once
+_MOST_POINTS = 100_000  # at once: scratch arrays stay in the cache
 
 
 @dataclass(frozen=True, slots=True)
