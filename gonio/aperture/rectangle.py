@@ -13,12 +13,14 @@ All light comes from one point here; `gonio.aperture.instrument` adds the beam's
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gonio.angles import cos_deg
 from gonio.aperture.approximations import InPlaneAverage, PointReceiver
+from gonio.aperture.boundary import lobe_derivative
 from gonio.aperture.receiver import APERTURE_NAMES, ApertureName, FloatArray, Receiver
 from gonio.brdf.quadrature import across_integral, band_integral, band_integral_table, gauss_legendre
 from gonio.errors import ConfigError
@@ -105,8 +107,32 @@ class Aperture:
         ``∫ cos(psi)^(alpha + 1) dpsi`` over ``±psi_max`` is an incomplete beta function; what remains in t is
         one smooth integral, done by 64 Gauss-Legendre nodes placed over the part that carries the value.
         """
-        half_t = np.deg2rad(self.half_angles_deg[0])
-        return band_integral(alpha, delta_deg, half_t, theta_o_deg, self._across)
+        return band_integral(alpha, delta_deg, self._half_width_rad, theta_o_deg, self._across)
+
+    def lobe_integral_dlog_alpha(
+        self,
+        alpha: ArrayLike,
+        delta_deg: ArrayLike,
+        theta_o_deg: ArrayLike | None = None,
+        *,
+        order: Literal[1, 2] = 1,
+    ) -> FloatArray:
+        """Return the first or second derivative of `lobe_integral` by ``log(alpha)``; 0 at alpha 0.
+
+        Exact, from the border of the aperture alone (`gonio.aperture.boundary`); arguments and shape as
+        `lobe_integral`.
+        """
+        given = [
+            np.asarray(x, np.float64) for x in (alpha, delta_deg, 0.0 if theta_o_deg is None else theta_o_deg)
+        ]
+        broadcast = np.broadcast_arrays(*given)
+        a, delta, out = (x.ravel() for x in broadcast)
+        size = (self._half_width_rad, self.height_mm / (2.0 * self.distance_mm))
+        horizon = None if theta_o_deg is None else out
+        value = a * lobe_derivative(1, a, delta, *size, horizon)
+        if order == 2:
+            value += a**2 * lobe_derivative(2, a, delta, *size, horizon)
+        return value.reshape(broadcast[0].shape)
 
     def lobe_table(
         self,
@@ -116,8 +142,13 @@ class Aperture:
         theta_i_deg: FloatArray | None = None,
     ) -> FloatArray:
         """Return `lobe_integral` of alpha (n_alpha,) at positions (n,), as (n_alpha, n), to 1e-13."""
-        half_t = np.deg2rad(self.half_angles_deg[0])
-        return band_integral_table(alpha, delta_deg, half_t, theta_o_deg, self._across)
+        return band_integral_table(alpha, delta_deg, self._half_width_rad, theta_o_deg, self._across)
+
+    @property
+    def _half_width_rad(self) -> np.longdouble:
+        """In-plane half angle, with the digits that the flank of a narrow lobe needs."""
+        width, distance = np.longdouble(self.width_mm), np.longdouble(self.distance_mm)
+        return np.longdouble(np.arctan(width / (2 * distance)))
 
     def _across(self, alpha: FloatArray, t: FloatArray) -> FloatArray:
         return across_integral(alpha, self.height_mm / (2.0 * self.distance_mm) * np.cos(t))

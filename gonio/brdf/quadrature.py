@@ -15,9 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
 FloatArray = NDArray[np.float64]
+LongArray = NDArray[np.longdouble]
 
+_PI = 4 * np.arctan(np.longdouble(1))
 _NODES = 64
 _NEGLIGIBLE = 40.0  # exp(-40) of the largest value in the band is below the rounding of the sum
+_RIM_ALPHA = 30.0  # from this exponent on cos_+^alpha is smooth where it ends
+_RIM_NEAR_RAD = 0.6
+_STEEP_RAD = 0.8  # from here on the cosine takes its digits from the angle to the rim
 _CHUNK = 2048  # band integrals evaluated together; bounds the scratch memory to a few MB
 
 
@@ -60,10 +65,19 @@ def across_integral(alpha: FloatArray, tangent: FloatArray) -> FloatArray:
     return np.asarray(lobe_norm(alpha) * special.betainc(0.5, 0.5 * alpha + 1.0, x))
 
 
+def radians(angle_deg: ArrayLike) -> LongArray:
+    """Return radians with the digits that a difference of two angles needs.
+
+    In the flank of a lobe the value changes by ``alpha u`` per radian: at alpha 1e8 one rounding of an angle
+    of 8 degrees is 1e-11 of the value.  Where the platform has no longer type this is plain float64.
+    """
+    return np.asarray(np.asarray(angle_deg, np.longdouble) * (_PI / 180), np.longdouble)
+
+
 def band_integral(
     alpha: ArrayLike,
     delta_deg: ArrayLike,
-    half_width_rad: float,
+    half_width_rad: np.longdouble | float,
     theta_o_deg: ArrayLike | None,
     across: Callable[[FloatArray, FloatArray], FloatArray],
 ) -> FloatArray:
@@ -80,64 +94,80 @@ def band_integral(
     """
     theta_o = 0.0 if theta_o_deg is None else theta_o_deg
     arrays = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (alpha, delta_deg, theta_o)))
-    a, delta, out_deg = (x.reshape(-1) for x in arrays)
-    low, high = np.full(a.shape, -half_width_rad), np.full(a.shape, half_width_rad)
-    if theta_o_deg is not None:
-        low = np.maximum(low, np.deg2rad(-90.0 - out_deg))
-        high = np.minimum(high, np.deg2rad(90.0 - out_deg))
-    # the edge of cos_+, where the angle to the mirror direction is 90 deg in plane
-    low = np.maximum(low, np.deg2rad(delta - 90.0))
-    high = np.minimum(high, np.deg2rad(delta + 90.0))
-    value = np.where(np.isfinite(a + delta + out_deg), 0.0, np.nan)
-    for start in range(0, a.size, _CHUNK):
-        part = np.flatnonzero((high > low)[start : start + _CHUNK]) + start
-        if part.size:
-            value[part] = _band(a[part], np.deg2rad(delta[part]), low[part], high[part], across)
+    a, delta_deg_, out_deg = (x.reshape(-1) for x in arrays)
+    value = np.where(np.isfinite(a + delta_deg_ + out_deg), 0.0, np.nan)
+    delta = radians(delta_deg_)
+    low, high = band_limits(delta, half_width_rad, None if theta_o_deg is None else out_deg)
+    for side in (-1.0, 1.0):
+        # each side of the mirror direction by itself, mirrored to positive angles
+        start, end = (low, high) if side > 0.0 else (-high, -low)
+        start = np.maximum(start, 0)
+        lit = np.flatnonzero(np.isfinite(value) & (end > start))
+        for first in range(0, lit.size, _CHUNK):
+            rows = lit[first : first + _CHUNK]
+            u, weight, log_lobe = one_side(a[rows], start[rows], end[rows])
+            t = side * u + delta[rows].astype(np.float64)[:, None]
+            value[rows] += np.sum(
+                np.exp(a[rows, None] * log_lobe) * weight * across(a[rows, None], t), axis=1
+            )
     return value.reshape(arrays[0].shape)
 
 
-def _band(
-    alpha: FloatArray,
-    delta: FloatArray,
-    low: FloatArray,
-    high: FloatArray,
-    across: Callable[[FloatArray, FloatArray], FloatArray],
-) -> FloatArray:
-    """Integrate the part of [low, high] that carries the value; all arguments (n,), radians."""
-    nearest = np.clip(delta, low, high)
-    # cos(x) = cos(x0) exp(-40/alpha) ends the interval; versines keep the digits for large alpha
-    versine = 2.0 * np.sin(0.5 * (nearest - delta)) ** 2
+def band_limits(
+    delta: LongArray, half_width_rad: np.longdouble | float, theta_o_deg: FloatArray | None
+) -> tuple[LongArray, LongArray]:
+    """Return where a band begins and ends, (n,) radians from the mirror direction; empty if it does not."""
+    low, high = -half_width_rad - delta, half_width_rad - delta
+    if theta_o_deg is not None:
+        out_deg = theta_o_deg.astype(np.longdouble)
+        low, high = (
+            np.maximum(low, radians(-90 - out_deg) - delta),
+            np.minimum(high, radians(90 - out_deg) - delta),
+        )
+    return np.maximum(low, -_PI / 2), np.minimum(high, _PI / 2)  # the edge of cos_+
+
+
+def one_side(
+    alpha: FloatArray, start: LongArray, end: LongArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return nodes for ``cos(u)^alpha`` times a smooth function over u = start...end, within 0...pi/2.
+
+    Arguments are (n,), radians from the mirror direction; returned are u, weights and ``ln cos(u)``, (n, 64).
+    """
+    u0, u1 = start.astype(np.float64), end.astype(np.float64)
+    y0, y1 = (_PI / 2 - start).astype(np.float64), (_PI / 2 - end).astype(np.float64)  # angles to the rim
+    # cos(x) = cos(x0) exp(-40/alpha) ends what carries the value; versines keep the digits of a narrow lobe,
+    # angles to the rim those of a far flank
+    versine = 2.0 * np.sin(0.5 * u0) ** 2
     with np.errstate(divide="ignore", over="ignore"):
         fall = -np.expm1(-_NEGLIGIBLE / alpha)
-    reach = 2.0 * np.arcsin(np.sqrt(np.minimum(0.5 * (versine + (1.0 - versine) * fall), 1.0)))
-    low, high = np.maximum(low, delta - reach), np.minimum(high, delta + reach)
+    u1 = np.minimum(u1, 2.0 * np.arcsin(np.sqrt(np.minimum(0.5 * (versine + (1.0 - versine) * fall), 1.0))))
+    y1 = np.maximum(y1, np.arcsin(np.sin(y0) * (1.0 - fall)))
     nodes, weights = gauss_legendre(_NODES)
-    middle, half = 0.5 * (low + high)[:, None], 0.5 * (high - low)[:, None]
-    u = (middle - delta[:, None]) + half * nodes  # angle to the mirror direction
-    log_lobe = alpha[:, None] * np.log1p(-2.0 * np.sin(0.5 * u) ** 2)
+    steep = u0 > _STEEP_RAD
+    half = 0.5 * np.where(steep, y0 - y1, u1 - u0)[:, None]
+    y = y0[:, None] - half * (1.0 + nodes)
+    u = np.where(steep[:, None], 0.5 * np.pi - y, 0.5 * (u0 + u1)[:, None] + half * nodes)
     scale = np.broadcast_to(half, u.shape)
-    # A wide lobe off to one side: cos_+^alpha is not smooth where it ends, so put the nodes at equal steps of
-    # the sixth root of the angle to that end.
-    edge = (alpha < 30.0) & ((low >= delta) | (high <= delta))
-    if np.any(edge):
-        side = np.where(high[edge] <= delta[edge], -1.0, 1.0)[:, None]
-        far = np.where(side > 0.0, (high - delta)[edge, None], (delta - low)[edge, None])
-        near = np.where(side > 0.0, (low - delta)[edge, None], (delta - high)[edge, None])
-        s0, s1 = (np.maximum(0.5 * np.pi - x, 0.0) ** (1.0 / 6.0) for x in (far, near))
-        s = 0.5 * (s0 + s1) + 0.5 * (s1 - s0) * nodes
-        y = s**6
-        u[edge] = side * (0.5 * np.pi - y)
-        log_lobe[edge] = alpha[edge, None] * np.log(np.sin(y))
+    # A wide lobe is not smooth at the rim: nodes at equal steps of the sixth root of the angle to it.
+    rim = (alpha < _RIM_ALPHA) & (y1 < _RIM_NEAR_RAD)
+    if np.any(rim):
+        s0, s1 = (np.maximum(x[rim], 0.0)[:, None] ** (1.0 / 6.0) for x in (y0, y1))
+        s = 0.5 * (s0 + s1) + 0.5 * (s0 - s1) * nodes
         scale = scale.copy()
-        scale[edge] = 0.5 * (s1 - s0) * 6.0 * s**5
-    total = np.exp(log_lobe) * scale * across(alpha[:, None], u + delta[:, None])
-    return np.asarray(total @ weights)
+        y[rim] = s**6
+        scale[rim] = 0.5 * (s0 - s1) * 6.0 * s**5
+        u[rim] = 0.5 * np.pi - y[rim]
+    log_lobe = np.where(
+        u < _STEEP_RAD, np.log1p(-2.0 * np.sin(0.5 * u) ** 2), np.log(np.sin(np.maximum(y, 1e-300)))
+    )
+    return u, scale * weights, np.asarray(log_lobe)
 
 
 def band_integral_table(
     alpha: FloatArray,
     delta_deg: FloatArray,
-    half_width_rad: float,
+    half_width_rad: np.longdouble | float,
     theta_o_deg: FloatArray,
     across: Callable[[FloatArray, FloatArray], FloatArray],
 ) -> FloatArray:
@@ -147,7 +177,8 @@ def band_integral_table(
     of at most three lobe widths with 16 Gauss-Legendre nodes, and `across` is evaluated once per grid.  The
     few positions that are cut go through `band_integral`.
     """
-    half_deg = np.rad2deg(half_width_rad)
+    half = float(half_width_rad)
+    half_deg = np.rad2deg(half)
     # cos_+^alpha is not smooth at its edge; 16 nodes need the edge well outside the band
     cut = (np.abs(delta_deg) + half_deg >= 78.0) | (np.abs(theta_o_deg) + half_deg >= 90.0)
     # the lobe at the nearest edge of the band bounds the value; below exp(-60) it is left at zero
@@ -158,15 +189,15 @@ def band_integral_table(
     table = np.zeros((alpha.size, delta_deg.size))
     nodes, weights = gauss_legendre(16)
     # panel numbers are rounded up to powers of two, so that many alphas share one grid and its logarithms
-    needed = np.maximum(2.0 * half_width_rad * np.sqrt(alpha + 1.0) / 3.0, 1.0)
+    needed = np.maximum(2.0 * half * np.sqrt(alpha + 1.0) / 3.0, 1.0)
     panels = 2 ** np.ceil(np.log2(needed)).astype(int)
     for count in np.unique(panels):
         rows = np.flatnonzero(panels == count)
         at = np.flatnonzero(np.any(seen[rows], axis=0) & ~cut)
-        edges = np.linspace(-half_width_rad, half_width_rad, count + 1)
-        half = 0.5 * np.diff(edges)[:, None]
-        t = (0.5 * (edges[1:] + edges[:-1])[:, None] + half * nodes).ravel()
-        share = (half * weights).ravel() * across(alpha[rows, None], t[None, :])
+        edges = np.linspace(-half, half, count + 1)
+        step = 0.5 * np.diff(edges)[:, None]
+        t = (0.5 * (edges[1:] + edges[:-1])[:, None] + step * nodes).ravel()
+        share = (step * weights).ravel() * across(alpha[rows, None], t[None, :])
         log_lobe = np.log1p(-2.0 * np.sin(0.5 * (np.deg2rad(delta_deg[at, None]) - t)) ** 2)
         for row, weight in zip(rows, share, strict=True):
             carries = seen[row, at]
