@@ -13,6 +13,7 @@ from gonio.fitting.assemble import Setting, assemble
 from gonio.fitting.columns import BoolArray, FitModel, FloatArray
 from gonio.fitting.covariance import CommonMode
 from gonio.fitting.dispersion import Dispersion, dispersion_of
+from gonio.fitting.given import Given, real, uncertainty
 from gonio.fitting.kinds import ModelName, model_named
 from gonio.fitting.result import FitResult, IntervalMethod, PolarizationChoice, receiver_of
 from gonio.fitting.robust import Loss
@@ -144,12 +145,12 @@ def fit_readings(
     `instrument` and `beam` make the instrument function; without a beam the light is a line.
     `r_sd`, `gain_u`, `offset_u` broadcast to (n, m) and default to unknown; see `fit` and `gonio.store.Scan`.
     """
-    given = {
+    asked = {
         "aperture": aperture, "polarization": polarization, "weights": weights, "intervals": intervals,
         "loss": loss,
     }  # fmt: skip
-    for option, value in given.items():
-        if value not in _CHOICES[option]:
+    for option, value in asked.items():
+        if not isinstance(value, str) or value not in _CHOICES[option]:
             known = ", ".join(repr(x) for x in _CHOICES[option])
             raise FitError(f"{option} = {value!r} is not known; use one of {known}")
     if intervals == "nlparci":
@@ -160,27 +161,17 @@ def fit_readings(
                 "use 'wald' with a robust loss or an n2 that is given or shared"
             )
     kind = model_named(model, polarization)
-    readings = np.atleast_2d(np.asarray(r, np.float64))
-    n, m = readings.shape
-    which = np.asarray(polarization_of, np.str_)
-    theta_i, theta_o = np.asarray(theta_i_deg, np.float64), np.asarray(theta_o_deg, np.float64)
-    if not theta_i.shape == theta_o.shape == which.shape == (n,):
-        raise FitError(
-            f"the readings have {n} positions, but there are {theta_i.size} theta_i, {theta_o.size} "
-            f"theta_o and {which.size} polarizations; give one of each per position"
-        )
-    detector = np.zeros(m, np.uint8) if detector_index is None else np.asarray(detector_index, np.uint8)
-    wavelength = np.full(m, np.nan) if wavelength_nm is None else np.asarray(wavelength_nm, np.float64)
-    if wavelength.shape != (m,) or detector.shape != (m,):
-        raise FitError(
-            f"the readings have {m} wavelengths, but wavelength_nm or detector_index do not; give {m} each"
-        )
+    given = Given.of(theta_i_deg, theta_o_deg, polarization_of, r, wavelength_nm, detector_index, instrument)
+    readings, which, theta_i, theta_o = given.r, given.polarization, given.theta_i_deg, given.theta_o_deg
+    wavelength, detector = given.wavelength_nm, given.detector_index
     both = polarization in ("joint", "shared_n2")
     chosen = np.isin(which, ["s", "p"]) if both else which == polarization
     if not np.any(chosen):
         have = ", ".join(sorted(set(which.tolist()))) or "none"
         raise FitError(f"polarization '{polarization}' was not measured; the scan has: {have}")
-    used = Used.of(readings[chosen], _sized(r_sd, n, m)[chosen], weights, len(kind.parameters))
+    used = Used.of(
+        readings[chosen], uncertainty(r_sd, readings, "r_sd")[chosen], weights, len(kind.parameters)
+    )
     is_s = which[chosen] == "s"
     bound = kind.of(receiver_of(instrument, beam, aperture), theta_i[chosen], theta_o[chosen], is_s)
     begin = bound.start(used.y, used.first_weight)
@@ -190,7 +181,10 @@ def fit_readings(
     )  # fmt: skip
     common = None
     if intervals == "wald":
-        gain, offset = (np.nan_to_num(_sized(u, n, m)[chosen][:, used.columns]) for u in (gain_u, offset_u))
+        gain, offset = (
+            np.nan_to_num(uncertainty(u, readings, name)[chosen][:, used.columns])
+            for u, name in ((gain_u, "gain_u"), (offset_u, "offset_u"))
+        )
         common = CommonMode(gain, offset, is_s) if np.any(gain) or np.any(offset) else None
     weighed = solve_weighed(bound, used, begin, free, detector[used.columns], common, loss)
     return assemble(
@@ -224,10 +218,6 @@ def fit_readings(
     )
 
 
-def _sized(values: ArrayLike | None, n: int, m: int) -> FloatArray:
-    return np.array(np.broadcast_to(np.nan if values is None else np.asarray(values, np.float64), (n, m)))
-
-
 def _index(
     kind: type[FitModel],
     n2: N2Choice,
@@ -249,7 +239,7 @@ def _index(
         return None, np.where(~free, _UNTOLD_N2, begin), free, untold
     if chosen is not None:
         return dispersion_of(chosen, wavelength_nm[columns]), begin, free, untold
-    values = np.asarray(n2, np.float64)
+    values = np.asarray(np.nan if n2 is None else real(n2, "n2"))
     if values.shape not in ((), wavelength_nm.shape):
         raise FitError(f"n2 has the shape {values.shape}; give one number, or {wavelength_nm.size} of them")
     values = np.broadcast_to(values, wavelength_nm.shape)[columns]
@@ -282,7 +272,7 @@ def _detectors(gain_u: ArrayLike, offset_u: ArrayLike, detector: NDArray[np.uint
     count = 1 + int(detector.max(initial=0))
     arrays = []
     for name, values in (("detector_gain_u", gain_u), ("detector_offset_u", offset_u)):
-        u = np.asarray(values, np.float64)
+        u = np.asarray(np.nan if values is None else real(values, name))
         if u.shape not in ((), (count,)):
             raise FitError(f"{name} has {u.size} numbers; give one, or one for each of {count} detectors")
         if not np.all(np.isfinite(u) & (u >= 0.0)):
