@@ -1,9 +1,9 @@
-"""What is chi2 with the linear coefficients eliminated?  Its value, gradient and Hessian in the nonlinear ones.
+"""What is chi2 with the linear coefficients eliminated?  Value, gradient and Hessian in the nonlinear ones.
 
     chi2(x) = min over c of  sum_i w_i (y_i - g_i(x) - sum_l c_l Phi_l,i(x))^2
 
 **Variable projection** (Golub & Pereyra, Inverse Problems 19 (2003) R1).  With weights taken into the rows,
-Phi = Q R by Gram-Schmidt, every column orthogonalised twice, which is as good as Householder's (Giraud et al.,
+Phi = Q R by Gram-Schmidt, twice where digits are lost, which is as good as Householder's (Giraud et al.,
 Numer. Math. 101 (2005) 87); r the residual, J_a = dg/dx_a + sum_l c_l dPhi_l/dx_a, and
 
     u_a = Q'J_a,   z_a = J_a - Q u_a,   v_a = R^-T (dPhi_l/dx_a ' r)_l,   k_ab = r'(d2g + sum_l c_l d2Phi_l),
@@ -18,7 +18,7 @@ normal matrix is formed of anything that may be ill-conditioned: z = Q_z R_z, an
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -30,6 +30,7 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
 
 _LOST = 1e-12  # a column that keeps less than this of its norm beside the others is one of them, and rounding
+_TWICE = 1e-2  # of its square: a column that loses more to the others is orthogonalised again
 _EPS = float(np.finfo(float).eps)
 
 
@@ -137,7 +138,8 @@ class Projected:
 
     def of(self, pick: IndexArray) -> Projected:
         """Return the part of some problems."""
-        return Projected(*(getattr(self, name)[pick] for name in _ARRAYS), exact=self.exact)
+        arrays = {name: getattr(self, name)[pick] for name in _ARRAYS}
+        return replace(self, **arrays)
 
     def put(self, pick: IndexArray, other: Projected, rows: IndexArray) -> None:
         """Replace problems `pick` by problems `rows` of another."""
@@ -156,7 +158,8 @@ def project(model: Separable, rows: Rows, x: FloatArray) -> Projected:
     root, target = rows.root, rows.target
     q, r = _extend([], [root * column for column in at.value[:count]], m)
     fixed = len(at.value) > count
-    rest = target - root * at.value[count] / rows.size if fixed else target
+    rest = target - root * at.value[count] / rows.size if fixed else target.copy()
+    size2 = _inner(target, target) + (_inner(rest, rest) if fixed else 0.0)
     residual, z = _project_out(q, rest)
     c = _solve_upper(r, z)
     per = [c[:, j] for j in range(count)] + ([1.0 / rows.size] if fixed else [])
@@ -185,9 +188,6 @@ def project(model: Separable, rows: Rows, x: FloatArray) -> Projected:
     if exact:
         mixed = np.swapaxes(u - v, 1, 2) @ v
         hessian += mixed + np.swapaxes(mixed, 1, 2) - _curvature(at, per, weighted, k)
-    floor = _inner(target, target)
-    if fixed:
-        floor = floor + _inner(rest, rest)
     state = Projected(
         c,
         _inner(residual, residual),
@@ -196,16 +196,14 @@ def project(model: Separable, rows: Rows, x: FloatArray) -> Projected:
         -(np.swapaxes(rz, 1, 2) @ b[:, :, None])[:, :, 0],
         hessian,
         scale,
-        (10.0 * _EPS) ** 2 * floor,
+        (10.0 * _EPS) ** 2 * size2,
         exact,
     )
     _fence(state)
     return state
 
 
-def _curvature(
-    at: Columns, per: list[FloatArray], weighted: FloatArray, k: int
-) -> FloatArray:
+def _curvature(at: Columns, per: list[FloatArray], weighted: FloatArray, k: int) -> FloatArray:
     """Return k_ab, (m, k, k), from the weighted residual (n, m)."""
     result = np.zeros((weighted.shape[1], k, k))
     for a in range(k):
@@ -239,20 +237,29 @@ def _inner(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _project_out(q: list[FloatArray], column: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return a column (n, m) without its part along orthonormal q, and that part, (m, len(q))."""
+    """Take the part along orthonormal q out of a column (n, m), in place; return both, (m, len(q)) the part.
+
+    A second pass where the first took away nearly all restores the digits that it lost.
+    """
     part = np.zeros((column.shape[1], len(q)))
-    for _ in range(2):
+    if not q:
+        return column, part
+    scratch = np.empty_like(column)
+    for again in (False, True):
         for j, axis in enumerate(q):
             along = _inner(column, axis)
-            column = column - along * axis
+            np.multiply(axis, along, out=scratch)
+            np.subtract(column, scratch, out=column)
             part[:, j] += along
+        if not again and not np.any(_inner(column, column) < _TWICE * np.sum(part**2, axis=1)):
+            break
     return column, part
 
 
 def _extend(q: list[FloatArray], columns: list[FloatArray], m: int) -> tuple[list[FloatArray], FloatArray]:
     """Return orthonormal columns that begin with q, and R (m, len(q) + len(columns), len(columns)).
 
-    A column that depends on those before it becomes 0.
+    A column that depends on those before it becomes 0.  The columns are overwritten.
     """
     every = list(q)
     r = np.zeros((m, len(q) + len(columns), len(columns)))
@@ -262,7 +269,8 @@ def _extend(q: list[FloatArray], columns: list[FloatArray], m: int) -> tuple[lis
         norm = _inner(rest, rest)
         norm = np.where(norm > _LOST**2 * (norm + np.sum(r[:, :at, j] ** 2, axis=1)), np.sqrt(norm), 0.0)
         r[:, at, j] = norm
-        every.append(rest * np.where(norm > 0.0, 1.0 / np.where(norm > 0.0, norm, 1.0), 0.0))
+        rest *= np.where(norm > 0.0, 1.0 / np.where(norm > 0.0, norm, 1.0), 0.0)
+        every.append(rest)
     return every, r
 
 

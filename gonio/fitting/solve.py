@@ -1,7 +1,7 @@
-"""Where is the least-squares optimum?  A start from a grid, then steps to the minimum, all wavelengths at once.
+"""Where is the least-squares optimum?  A start from a grid, then steps down, all wavelengths at once.
 
-The linear coefficients are eliminated (`gonio.fitting.separable`), the nonlinear parameters descend within their
-bounds (`gonio.fitting.newton`).  A model is anything with `linear`, `low`, `high` and `columns`.
+The linear coefficients are eliminated (`gonio.fitting.separable`), the nonlinear parameters descend within
+their bounds (`gonio.fitting.newton`).  A model is anything with `linear`, `low`, `high` and `columns`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.fitting.newton import minimise
+from gonio.fitting.newton import BOLD, minimise
 from gonio.fitting.separable import IndexArray, Projected, Rows, Separable, project
 
 FloatArray = NDArray[np.float64]
@@ -22,6 +22,7 @@ _BLOCK = 60_000  # readings worked on together: scratch arrays stay in the cache
 _GRID_BLOCK = 4_000_000  # numbers of a grid's sums held at once
 _ALIKE = 1e-10  # squared part of a column beside the others below which a start does not count it
 _ITERATIONS = 200
+_BOLDNESS = (1.0, 10.0, 0.1, 100.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +40,9 @@ def refine(
     w: FloatArray,
     begin: FloatArray,
     *,
-    free: Sequence[bool] | BoolArray = True,  # type: ignore[assignment]
+    free: bool | Sequence[bool] | BoolArray = True,
     iterations: int = _ITERATIONS,
+    bold: float = BOLD,
 ) -> Solution:
     """Return the local optimum that each wavelength descends to from `begin`.
 
@@ -55,6 +57,8 @@ def refine(
         it; (k,) for all wavelengths alike or (m, k).
     iterations
         Steps at most; a wavelength that needs more is not `converged`.
+    bold
+        First trust region in lengths of x, for parameters without bounds.
     """
     m, k = begin.shape
     may = np.broadcast_to(np.asarray(free, np.bool_), (m, k))
@@ -63,9 +67,39 @@ def refine(
     for part in blocks(*y.shape):
         with np.errstate(all="ignore"):  # a trial step may leave the range of the model; it is taken back
             basic[part], chi2[part], converged[part] = _refine_block(
-                model, y[:, part], w[:, part], begin[part], may[part], iterations
+                model, y[:, part], w[:, part], begin[part], may[part], iterations, bold
             )
     return Solution(basic, chi2, converged)
+
+
+def refine_boldly(
+    model: Separable,
+    y: FloatArray,
+    w: FloatArray,
+    begin: FloatArray,
+    *,
+    iterations: int = 5000,
+) -> Solution:
+    """Return the best of the optima that more and less cautious descents reach, for starts that are far away.
+
+    A first step that is too long leaves the basin (over a pole, into an exponential that has died out), one
+    that is too short follows every bend of a valley; no one length suits all problems.
+    """
+    best: Solution | None = None
+    for bold in _BOLDNESS:
+        found = refine(model, y, w, begin, iterations=iterations, bold=bold)
+        if best is None:
+            best = found
+            continue
+        ahead = found.chi2 < best.chi2 * (1.0 - 1e-9)
+        better = np.where(found.converged == best.converged, ahead, found.converged) | np.isnan(best.chi2)
+        best = Solution(
+            np.where(better[:, None], found.basic, best.basic),
+            np.where(better, found.chi2, best.chi2),
+            np.where(better, found.converged, best.converged),
+        )
+    assert best is not None
+    return best
 
 
 def blocks(n: int, m: int) -> list[slice]:
@@ -75,7 +109,13 @@ def blocks(n: int, m: int) -> list[slice]:
 
 
 def _refine_block(
-    model: Separable, y: FloatArray, w: FloatArray, begin: FloatArray, free: BoolArray, iterations: int
+    model: Separable,
+    y: FloatArray,
+    w: FloatArray,
+    begin: FloatArray,
+    free: BoolArray,
+    iterations: int,
+    bold: float,
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     rows = Rows.of(y, w)
     known = rows.known & np.all(np.isfinite(begin), axis=1)
@@ -86,7 +126,7 @@ def _refine_block(
         part = rows if pick.size == all_rows.size else rows.of_problems(pick)
         return project(model, part, at)
 
-    x, state, converged = minimise(evaluate, x, model.low, model.high, free, iterations)
+    x, state, converged = minimise(evaluate, x, model.low, model.high, free, iterations=iterations, bold=bold)
     basic = np.concatenate([state.coefficients * rows.size[:, None], x], axis=1)
     chi2 = state.chi2 * (rows.size * rows.heaviest) ** 2
     lost = ~np.isfinite(state.chi2)
@@ -94,10 +134,8 @@ def _refine_block(
     return basic, chi2, converged & np.any(rows.root > 0.0, axis=0)
 
 
-def grid_start(
-    model: Separable, y: FloatArray, w: FloatArray, grid: FloatArray
-) -> FloatArray:
-    """Return the point of a grid of nonlinear parameters, (G, k), with the least chi2 of each wavelength, (m, k).
+def grid_start(model: Separable, y: FloatArray, w: FloatArray, grid: FloatArray) -> FloatArray:
+    """Return the point with each wavelength's least chi2, (m, k), of a grid of nonlinear parameters, (G, k).
 
     The columns are made once for all wavelengths; the sums over positions are matrix products, so the cost is
     that of (L + 1)(L + 2)/2 of them, (G, n) @ (n, m).  Where L columns are one another's combination to a
@@ -125,7 +163,9 @@ def _explained(columns: list[FloatArray], count: int, rows: Rows, points: int) -
         gain = gain + (2.0 * fixed @ wy - (fixed**2 @ w) / rows.size) / rows.size
         pull = [p - (c * fixed) @ w / rows.size for p, c in zip(pull, columns, strict=False)]
     gram = {
-        (i, j): np.broadcast_to((columns[i] * columns[j]) @ w, shape) for i in range(count) for j in range(i + 1)
+        (i, j): np.broadcast_to((columns[i] * columns[j]) @ w, shape)
+        for i in range(count)
+        for j in range(i + 1)
     }
     whole = [gram[i, i] for i in range(count)]
     for j in range(count):
