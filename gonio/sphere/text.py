@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import math
+import textwrap
 
 import numpy as np
 
 from gonio.sphere.compare import Part, SphereComparison
+from gonio.sphere.uncertainty import COVERAGE
 
+_WIDTH = 110
+_FEWEST, _VARIED = 5, 0.1
+"""Wavelengths, and relative variation of the reflectance, that tell an offset from a gain."""
 _ALIKE = 2.0
 """Two detectors deviate alike if they differ by less than this many standard uncertainties."""
 
@@ -22,8 +27,20 @@ def comparison_text(comparison: SphereComparison) -> str:
     if not parts:
         return f"{title}\n  fit and sphere have no wavelength in common{_ranges(comparison)}"
     lines = [title, *_rows(comparison, parts, comparison.bands(BANDS))]
-    lines += ["  " + line for line in _notes(comparison)]
-    lines += verdicts(comparison, parts)
+    for line in _notes(comparison):
+        lines += textwrap.wrap(
+            line,
+            _WIDTH,
+            initial_indent="  ",
+            subsequent_indent="    ",
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+    for line in verdicts(comparison, parts):
+        further = " " * (len(line) - len(line.lstrip()) + 2)
+        lines += textwrap.wrap(
+            line, _WIDTH, subsequent_indent=further, break_long_words=False, break_on_hyphens=False
+        )
     return "\n".join(lines)
 
 
@@ -35,22 +52,23 @@ def _rows(comparison: SphereComparison, parts: tuple[Part, ...], bands: tuple[Pa
     )
     lines = [head, "-" * len(head)]
     for part in parts:
-        lines.append(_row(part, ""))
+        lines.append(_row(part, "", bool(comparison.mode_names)))
         own = [b for b in bands if part.low_nm <= b.low_nm and b.high_nm <= part.high_nm
                and b.detector == part.detector]  # fmt: skip
         if len(own) > 1:
-            lines += [_row(band, "  ") for band in own]
+            lines += [_row(band, "  ", bool(comparison.mode_names)) for band in own]
     return lines
 
 
-def _row(part: Part, indent: str) -> str:
+def _row(part: Part, indent: str, has_common: bool) -> str:
     where = f"{indent}{part.low_nm:g}-{part.high_nm:g}" if part.count > 1 else f"{indent}{part.low_nm:g}"
     relative = f"{100 * part.relative:+.1f} %" if math.isfinite(part.relative) else "-"
+    common = _u(part.u_common) if has_common else "-"
     within = f"{part.within}/{part.judged}" if part.judged else "-"
     return (
         f"{where:<12}{'' if indent else part.detector:<12}{part.value:>9.4f}{part.reference:>9.4f}"
         f"{100 * part.difference:>+9.2f} %R{relative:>9}"
-        f"{_u(part.u_fit):>9}{_u(part.u_common):>10}{_u(part.u_sphere):>10}{_e_n(part.e_n):>8}{within:>10}"
+        f"{_u(part.u_fit):>9}{common:>10}{_u(part.u_sphere):>10}{_e_n(part.e_n):>8}{within:>10}"
     )
 
 
@@ -86,8 +104,8 @@ def _notes(comparison: SphereComparison) -> list[str]:
         )
     if "header_polarizer_deg" in sphere.facts:
         lines.append(
-            f"the sphere was measured with a polarizer at {sphere.facts['header_polarizer_deg']} deg; the "
-            "fit's k is the mean of S and P"
+            f"its header names a polarizer at {sphere.facts['header_polarizer_deg']} deg; if it was in the "
+            "beam, mind that the fit's k is the mean of S and P"
         )
     if sphere.geometry.specular == "excluded":
         lines.append(
@@ -146,42 +164,69 @@ def _off(part: Part) -> str:
 
 def _causes(comparison: SphereComparison, parts: tuple[Part, ...], off: list[Part]) -> list[str]:
     """Return what would explain the disagreement, in numbers, and what speaks against it."""
-    lines = []
-    for part in off:
-        # k = pi r / Omega for a diffuse sample: what a reading is off by when k is off by `difference`
-        offset = 100 * part.difference * comparison.solid_angle_sr / math.pi
-        where = f"{part.low_nm:g}-{part.high_nm:g} nm"
-        line = f"{where}: a zero offset of {offset:+.2g} %R in each reading (dark, stray light)"
-        if math.isfinite(part.relative) and part.relative > -1.0:
-            line += (
-                f", or a gain of {100 * part.relative:+.2g} % that does not cancel between sample and "
-                "baseline "
-                "(nonlinearity of the detector: a baseline is some 80 times brighter than a white sample)"
-            )
-        lines.append(line)
-    if len({part.detector for part in parts}) > 1:
-        alike = all(_alike(part, off[0]) for part in parts)
-        if alike and math.isfinite(off[0].relative):
-            distance = 100 * (math.sqrt(1.0 / (1.0 + off[0].relative)) - 1.0)
-            lines.append(
-                f"all detectors deviate alike: the aperture's distance ({distance:+.2g} % would do; k goes "
-                "with its square), its size, the alignment, or the sphere's own standard"
-            )
-        else:
-            lines.append(
-                "the detectors deviate differently, and distance, aperture, alignment and the sphere's "
-                "standard would shift them alike: look at the detector's zero and linearity"
-            )
-    elif math.isfinite(off[0].relative) and off[0].relative > -1.0:
-        distance = 100 * (math.sqrt(1.0 / (1.0 + off[0].relative)) - 1.0)
+    lines = [_cause_at_the_detector(comparison, part) for part in off]
+    distance = _distance(off[0])
+    if len({part.detector for part in parts}) == 1:
+        lines.append(f"or what detectors share: {distance}its size, the alignment, the sphere's own standard")
+    elif all(_alike(part, off[0]) for part in parts):
         lines.append(
-            f"or the aperture's distance ({distance:+.2g} % would do; k goes with its square), its size, the "
-            "alignment, the sphere's own standard"
+            f"all detectors deviate alike: {distance}its size, the alignment, or the sphere's own standard"
+        )
+    else:
+        lines.append(
+            "the detectors deviate differently, and distance, aperture, alignment and the sphere's standard "
+            "would shift them alike: look at the detector's zero and linearity"
         )
     return lines
 
 
+def _cause_at_the_detector(comparison: SphereComparison, part: Part) -> str:
+    # a diffuse sample of coefficient k gives r = k Omega / pi of the baseline
+    ratio = comparison.solid_angle_sr / math.pi
+    line = (
+        f"{part.low_nm:g}-{part.high_nm:g} nm: a zero offset of {100 * part.difference * ratio:+.2g} %R in "
+        "each "
+        "reading (dark, stray light)"
+    )
+    if not math.isfinite(part.relative):
+        return line
+    line += (
+        f", or a gain of {100 * part.relative:+.2g} % that does not cancel between sample and baseline "
+        f"(nonlinearity of the detector: the baseline is some {1.0 / (ratio * part.reference):.2g} times "
+        "brighter "
+        "than the sample)"
+    )
+    return line + _shape(comparison, part)
+
+
+def _shape(comparison: SphereComparison, part: Part) -> str:
+    """Say whether the difference goes with the reflectance, where that varies enough to tell."""
+    at = comparison.wavelength_nm
+    use = (at >= part.low_nm) & (at <= part.high_nm) & np.isfinite(comparison.difference)
+    difference, reference = comparison.difference[use], comparison.reference[use]
+    if part.count < _FEWEST or np.std(reference) < _VARIED * np.mean(reference):
+        return ""
+    gain = np.sum(difference * reference) / np.sum(reference**2)
+    of_gain = float(np.sqrt(np.mean((difference - gain * reference) ** 2)))
+    of_offset = float(np.std(difference))
+    if of_gain < 0.5 * of_offset:
+        return "; the difference goes with the reflectance, as a gain's does and an offset's does not"
+    if of_offset < 0.5 * of_gain:
+        return "; the difference is the same for dark and bright, as an offset's is and a gain's is not"
+    return ""
+
+
+def _distance(part: Part) -> str:
+    """Return which error of the aperture's distance would do; k goes with its square."""
+    if not (math.isfinite(part.relative) and part.relative > -1.0):
+        return "the aperture's distance, "
+    needed = 100 * (math.sqrt(1.0 / (1.0 + part.relative)) - 1.0)
+    return f"the aperture's distance ({needed:+.2g} % would do, since k goes with its square), "
+
+
 def _alike(one: Part, other: Part) -> bool:
     """Say whether two parts deviate by the same factor, within what is not common to them."""
-    own = math.hypot(one.u_fit / one.reference, other.u_fit / other.reference) / 2.0
+    if not (math.isfinite(one.relative) and math.isfinite(other.relative)):
+        return False
+    own = math.hypot(one.u_fit / one.reference, other.u_fit / other.reference) / COVERAGE
     return abs(one.relative - other.relative) <= max(_ALIKE * own, 0.1 * abs(other.relative))

@@ -9,7 +9,7 @@ import pytest
 from simulated_fits import fitted
 
 from gonio.fitting import FitResult
-from gonio.sphere import Geometry, Sphere, compare, e_n
+from gonio.sphere import Geometry, Sphere, SphereComparison, compare, e_n
 from gonio.sphere.text import verdicts
 
 NM = np.array([840.0, 850.0, 860.0, 870.0])
@@ -19,6 +19,11 @@ NM = np.array([840.0, 850.0, 860.0, 870.0])
 def fit() -> FitResult:
     """Four wavelengths, the first two on one detector; k_g near 0.76."""
     return fitted(NM, detector_index=[0, 0, 1, 1])
+
+
+def unwrapped(found: SphereComparison) -> str:
+    """Return the table with its lines joined, for what may be broken anywhere."""
+    return " ".join(found.table().split())
 
 
 def sphere(fit: FitResult, value: object = 0.76, u: object = 0.0038, **known: object) -> Sphere:
@@ -72,7 +77,7 @@ def test_a_mean_keeps_what_is_common_and_averages_the_rest(fit: FitResult) -> No
     total = np.sqrt(first.u_fit**2 + 0.008**2 + 0.0076**2)
     assert first.e_n == pytest.approx((np.mean(alone.value[:2]) - 0.76) / total, rel=1e-9)
     assert (first.low_nm, first.high_nm, second.low_nm, second.high_nm) == (840.0, 850.0, 860.0, 870.0)
-    assert "U_common: distance, alignment" in found.table()
+    assert "U_common: distance, alignment" in unwrapped(found)
 
 
 def test_detectors_are_never_mixed_and_neither_are_those_of_the_sphere(fit: FitResult) -> None:
@@ -85,7 +90,7 @@ def test_detectors_are_never_mixed_and_neither_are_those_of_the_sphere(fit: FitR
         ("pmt", 840.0, 840.0), ("pmt", 850.0, 850.0), ("ingaas", 860.0, 870.0)]  # fmt: skip
     across = own.bands([(800.0, 870.0)])
     assert [(p.low_nm, p.high_nm) for p in across] == [(840.0, 840.0), (850.0, 850.0), (860.0, 870.0)]
-    assert "the sphere's spectrometer changed its detector at 845 nm" in own.table()
+    assert "the sphere's spectrometer changed its detector at 845 nm" in unwrapped(own)
 
 
 def test_the_sphere_is_interpolated_but_not_extended_nor_joined_across_its_change(fit: FitResult) -> None:
@@ -93,7 +98,7 @@ def test_the_sphere_is_interpolated_but_not_extended_nor_joined_across_its_chang
     found = compare(fit, sphere(fit, [0.70, 0.72, 0.80], [0.002, 0.004, 0.004], wavelength_nm=at))
     np.testing.assert_allclose(found.reference, [np.nan, 0.71, 0.76, np.nan], rtol=1e-12)
     np.testing.assert_allclose(found.u_sphere[1:3], [0.006, 0.008], rtol=1e-12)
-    assert "interpolated between wavelengths up to 10 nm apart" in found.table()
+    assert "interpolated between wavelengths up to 10 nm apart" in unwrapped(found)
     broken = compare(fit, sphere(fit, [0.70, 0.72, 0.80], wavelength_nm=at, detector_change_nm=(861.0,)))
     np.testing.assert_allclose(broken.reference, [np.nan, 0.71, np.nan, np.nan], rtol=1e-12)
     whole = compare(fit, sphere(fit, [0.70, 0.71, 0.80, 0.81], detector_change_nm=(855.0,)))
@@ -105,7 +110,7 @@ def test_without_the_specular_beam_it_is_the_diffuse_coefficient_at_the_spheres_
 ) -> None:
     out = compare(fit, sphere(fit, geometry=Geometry(8.0, "excluded")))
     np.testing.assert_allclose(out.value, fit.hemispherical(8.0).k_d.value, rtol=1e-14)
-    assert "gloss trap" in out.table()
+    assert "gloss trap" in unwrapped(out)
     steep = compare(fit, sphere(fit, geometry=Geometry(60.0, "included")))
     np.testing.assert_allclose(steep.value, fit.hemispherical(60.0).k_g.value, rtol=1e-14)
     assert np.all(steep.value > compare(fit, sphere(fit)).value + 0.01)
@@ -116,14 +121,14 @@ def test_a_sphere_without_uncertainty_gives_differences_and_no_verdict(fit: FitR
     assert np.all(np.isfinite(found.difference))
     assert np.all(np.isnan(found.e_n))
     assert [p.judged for p in found.parts()] == [0, 0]
-    assert "nothing can be said of agreement: state it with --sphere-u" in found.table()
-    assert "what may cause it" not in found.table()
+    assert "nothing can be said of agreement: state it with --sphere-u" in unwrapped(found)
+    assert "what may cause it" not in unwrapped(found)
 
 
 def test_nothing_in_common(fit: FitResult) -> None:
     found = compare(fit, sphere(fit, wavelength_nm=fit.wavelength_nm + 1000.0))
     assert found.parts() == ()
-    assert "no wavelength in common (fit 840-870 nm, sphere 1840-1870 nm)" in found.table()
+    assert "no wavelength in common (fit 840-870 nm, sphere 1840-1870 nm)" in unwrapped(found)
 
 
 def test_a_wavelength_that_failed_takes_no_part(fit: FitResult) -> None:
@@ -164,6 +169,37 @@ def test_a_wrong_distance_is_told_from_a_bad_detector() -> None:
     causes = "\n".join(verdicts(compare(low, sphere(low, truth, 0.005 * truth))))
     assert "all detectors deviate alike: the aperture's distance (+5.4 % would do" in causes
     assert pytest.approx(1.0, abs=1e-3) == 0.9 * 1.054**2
+
+
+def test_an_offset_is_told_from_a_gain_where_the_reflectance_varies() -> None:
+    at = np.linspace(400.0, 700.0, 7)
+    reference = np.linspace(0.3, 0.8, 7)
+    found = compare(fitted(at, [0] * 7), sphere(fitted(at, [0] * 7), reference, 0.001))
+    for value, words in (
+        (0.9 * reference, "goes with the reflectance, as a gain's does"),
+        (reference - 0.05, "the same for dark and bright, as an offset's is"),
+        (0.96 * reference - 0.025, "look for neither"),
+    ):
+        causes = "\n".join(verdicts(replace(found, value=value)))
+        assert (words in causes) == (words != "look for neither")
+        assert ("goes with the refl" in causes or "the same for" in causes) == (words != "look for neither")
+    flat = "\n".join(verdicts(replace(found, reference=np.full(7, 0.7), value=np.full(7, 0.6))))
+    assert "goes with the refl" not in flat
+    assert "the same for" not in flat
+
+
+def test_a_black_sample_has_no_relative_difference(fit: FitResult) -> None:
+    found = compare(fit, sphere(fit, 0.0, 0.002))
+    assert all(np.isnan(part.relative) for part in found.parts())
+    said = unwrapped(found)
+    assert "the fit is high, +76 %R" in said
+    assert "nan" not in said
+    assert "a gain of" not in said
+
+
+def test_no_line_is_wider_than_a_terminal(fit: FitResult) -> None:
+    for u in (0.0001, 0.0038, np.nan):
+        assert max(map(len, compare(fit, sphere(fit, 0.6, u)).table().splitlines())) <= 110
 
 
 def test_the_fit_has_it_as_a_method(fit: FitResult) -> None:
