@@ -110,7 +110,8 @@ def runs_excess(
     return excess, variance
 
 
-def _probability(excess: FloatArray, variance: FloatArray) -> FloatArray:
+def _probability(excess: ArrayLike, variance: ArrayLike) -> FloatArray:
+    excess, variance = np.asarray(excess, np.float64), np.asarray(variance, np.float64)
     known = variance > 0.0
     z = (excess + 0.5) / np.sqrt(np.where(known, variance, 1.0))  # a count of k reaches to k + 1/2
     return np.asarray(np.where(known, special.ndtr(z), np.nan))

@@ -25,7 +25,8 @@ from gonio.fitting.problem import N2_MAX, N2_MIN
 
 _DEGREE = 64
 _LOW, _HIGH = np.log(N2_MIN - 1.0), np.log(N2_MAX - 1.0)
-_IN_PLANE, _OUT = 32, 12
+_IN_PLANE, _OUT = (10, 32), (5, 10)
+"""Nodes of a band that is a small part of the aperture, and of one that is most of it."""
 
 Series = tuple[FloatArray, FloatArray, FloatArray]
 """A function of n2 and its first two derivatives."""
@@ -55,7 +56,7 @@ class Body:
     Attributes
     ----------
     diffuse
-        (o,), D of the distinct theta_o.
+        (o,), D of the distinct (theta_i, theta_o).
     leaving
         (3, K, o), Chebyshev coefficients of E and of its derivatives by log(n2 - 1).
     observation
@@ -78,15 +79,16 @@ class Body:
         cls, receiver: Receiver, theta_i_deg: FloatArray, theta_o_deg: FloatArray, is_s: BoolArray
     ) -> Body:
         """Tabulate a receiver at n positions, (n,) each."""
-        theta_o, observation = np.unique(theta_o_deg, return_inverse=True)
+        places, observation = np.unique(np.stack([theta_i_deg, theta_o_deg]), axis=1, return_inverse=True)
+        count = places.shape[1]
         pairs, incidence = np.unique(
             np.stack([theta_i_deg, is_s.astype(np.float64)]), axis=1, return_inverse=True
         )
         k = np.arange(_DEGREE)
         angle = np.pi * (k + 0.5) / _DEGREE
         n2 = 1.0 + np.exp(0.5 * (_LOW + _HIGH) + 0.5 * (_HIGH - _LOW) * np.cos(angle))
-        bands = bands_of(receiver, np.zeros(theta_o.size), theta_o)
-        values = np.stack([_received(bands, float(n), theta_o.size) for n in n2])
+        bands = bands_of(receiver, places[0], places[1])
+        values = np.stack([_received(bands, float(n), count) for n in n2])
         c = 2.0 / _DEGREE * np.cos(np.outer(k, angle)) @ values
         c[0] *= 0.5
         stack = np.zeros((3, *c.shape))
@@ -94,7 +96,7 @@ class Body:
         stack[1, :-1] = np.polynomial.chebyshev.chebder(c, 1, scl=2.0 / (_HIGH - _LOW))
         stack[2, :-2] = np.polynomial.chebyshev.chebder(c, 2, scl=2.0 / (_HIGH - _LOW))
         return cls(
-            receiver.diffuse_integral(theta_o),
+            receiver.diffuse_integral(places[1], places[0]),
             stack,
             observation.reshape(-1),
             cos_deg(pairs[0]),
@@ -149,25 +151,38 @@ def _received(bands: Bands, n2: float, count: int) -> FloatArray:
         light = bands.weight * np.where(seen, _ratio_u(index, cosine, 0)[0] * cosine / np.pi, 0.0)
         np.add.at(value, bands.position, light)
         return value
-    use = bands.pick(np.flatnonzero(bands.high > bands.low))
+    seen, most, most_out = bands.high > bands.low, bands.part > 0.3, bands.part_out > 0.3
+    for in_plane in (False, True):
+        for out in (False, True):
+            rows = np.flatnonzero(seen & (most == in_plane) & (most_out == out))
+            if rows.size:
+                use = bands.pick(rows)
+                np.add.at(value, use.position, _light(use, index, _IN_PLANE[in_plane], _OUT[out]) / np.pi)
+    return value
+
+
+def _light(use: Bands, index: FloatArray, in_plane: int, out: int) -> FloatArray:
+    """Return ∫ q_u cos(theta) dOmega of every band, (b,)."""
     side = np.where(use.low + use.high < 0.0, -1.0, 1.0)
     near = np.maximum(0.5 * np.pi - np.where(side > 0.0, use.high, -use.low), 0.0)
     far = 0.5 * np.pi - np.where(side > 0.0, use.low, -use.high)
-    nodes, weights = gauss_legendre(_IN_PLANE)
+    nodes, weights = gauss_legendre(in_plane)
     s0, s1 = np.sqrt(near)[:, None], np.sqrt(far)[:, None]
     s = 0.5 * (s0 + s1) + 0.5 * (s1 - s0) * nodes
     t = side[:, None] * (0.5 * np.pi - s**2)
     over_t = use.weight[:, None] * 0.5 * (s1 - s0) * weights * 2.0 * s
     if use.flat:
         cosine = np.cos(t)
-        light = np.sum(over_t * _ratio_u(index, cosine, 0)[0] * cosine, axis=1)
-    else:
-        nodes, weights = gauss_legendre(_OUT)
-        psi = np.arctan(use.tangent[:, None] * np.cos(t - use.axis[:, None]))[..., None] * 0.5 * (1.0 + nodes)
-        over_psi = 0.5 * np.arctan(use.tangent[:, None] * np.cos(t - use.axis[:, None]))[..., None] * weights
-        cosine = np.maximum(np.cos(t)[..., None] * np.cos(psi), 1e-300)
-        light = np.sum(
-            over_t[..., None] * over_psi * np.cos(psi) * _ratio_u(index, cosine, 0)[0] * cosine, axis=(1, 2)
-        )
-    np.add.at(value, use.position, light / np.pi)
-    return value
+        return np.asarray(np.sum(over_t * _ratio_u(index, cosine, 0)[0] * cosine, axis=1))
+    nodes, weights = gauss_legendre(out)
+    share, distance_mm = use.accepted(t)
+    slope = (np.cos(t - use.axis[:, None]) / distance_mm)[..., None]  # tan(psi) = v slope
+    half = 0.5 * (use.to_mm - use.from_mm)[:, None, None]
+    v = use.from_mm[:, None, None] + half * (1.0 + nodes)
+    entering = use.level[:, None, None] + use.slope[:, None, None] * v
+    cos_psi = 1.0 / np.sqrt(1.0 + (v * slope) ** 2)
+    cosine = np.maximum(np.cos(t)[..., None] * cos_psi, 1e-300)
+    # cos(psi) dpsi = slope cos(psi)^3 dv
+    over_v = half * weights * entering * slope * cos_psi**3
+    over = (over_t * share)[..., None] * over_v
+    return np.asarray(np.sum(over * _ratio_u(index, cosine, 0)[0] * cosine, axis=(1, 2)))

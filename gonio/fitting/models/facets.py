@@ -60,11 +60,6 @@ class Facets:
         lagrange[:, 0] *= 0.5
         return cls(middle, half, np.cos(angle), lagrange)
 
-    @classmethod
-    def none(cls, count: int) -> Facets:
-        """Return the single node of a lobe without Fresnel: W is its integral."""
-        return cls(np.full(count, 0.5), np.full(count, 0.5), np.zeros(1), np.ones((1, 1)))
-
     @property
     def cosines(self) -> FloatArray:
         """Cosines of the incidence on the facets, (n, j)."""

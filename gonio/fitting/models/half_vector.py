@@ -51,7 +51,7 @@ class HalfVectorLobe:
     ) -> Self:
         """Tabulate a receiver at n positions, (n,) each."""
         lobe = FacetLobe.of(cls.kernel, receiver, theta_i_deg, theta_o_deg, is_s)
-        return cls(receiver.diffuse_integral(theta_o_deg), lobe)
+        return cls(receiver.diffuse_integral(theta_o_deg, theta_i_deg), lobe)
 
     @staticmethod
     def published(basic: FloatArray) -> FloatArray:

@@ -23,7 +23,7 @@ from gonio.fitting.models.bands import Bands
 FloatArray = NDArray[np.float64]
 CountArray = NDArray[np.intp]
 
-_SIZES = np.array([8, 12, 16, 24, 32, 48, 64, 96])
+_SIZES = np.array([4, 5, 6, 8, 10, 12, 14, 16, 20, 24, 32, 40, 48, 64, 96])
 
 
 class Kernel(Protocol):
@@ -48,7 +48,7 @@ class Kernel(Protocol):
         """Return the bands that see anything of the lobe."""
         ...
 
-    def sizes(self, shape: float, bands: Bands) -> tuple[CountArray, CountArray]:
+    def sizes(self, shape: float, bands: Bands, facets: int) -> tuple[CountArray, CountArray]:
         """Return how many nodes each band needs in plane and out of plane, out of `_SIZES`."""
         ...
 
@@ -57,9 +57,9 @@ class Kernel(Protocol):
         ...
 
     def out_of_plane(
-        self, shape: float, bands: Bands, u: FloatArray, count: int
+        self, shape: float, bands: Bands, u: FloatArray, distance_mm: FloatArray, count: int
     ) -> tuple[FloatArray, FloatArray]:
-        """Return nodes in y and weights, (b, t, count) each."""
+        """Return nodes in y and weights, (b, t, count) each, seen from the distances (b, t)."""
         ...
 
 
@@ -89,7 +89,7 @@ class CosineKernel:
 
     low: ClassVar[float] = float(np.log(ALPHA_MIN))
     high: ClassVar[float] = float(np.log(ALPHA_MAX))
-    degree: ClassVar[int] = 112
+    degree: ClassVar[int] = 144
     negligible: ClassVar[float] = 40.0  # exp(-40) of the largest value in the band is rounding
     edge_alpha: ClassVar[float] = 30.0  # below, cos_+^alpha is seen to end at 90 deg
     edge_rad: ClassVar[float] = 1.2  # and is not smooth beyond this angle
@@ -110,7 +110,7 @@ class CosineKernel:
         log_lobe = shape * np.log1p(-2.0 * np.sin(0.5 * np.where(seen, nearest, 0.0)) ** 2)
         return np.flatnonzero(seen & (log_lobe > -60.0))
 
-    def sizes(self, shape: float, bands: Bands) -> tuple[CountArray, CountArray]:
+    def sizes(self, shape: float, bands: Bands, facets: int) -> tuple[CountArray, CountArray]:
         """Return the numbers of nodes: the more e-foldings a band spans, the more."""
         low, high = self._cut(shape, bands)
         nearest = np.clip(0.0, low, high)
@@ -118,9 +118,11 @@ class CosineKernel:
         span = shape * np.abs(np.log(np.maximum(np.cos(far), 1e-300) / np.cos(nearest)))
         span = np.minimum(span, self.negligible)
         inside = (low < 0.0) & (high > 0.0)
-        in_plane = 15.0 + np.where(inside, 0.9, 0.5) * span
+        in_plane = 6.0 + 0.8 * facets * bands.part + np.where(inside, 0.9, 0.5) * span
         edge = self._edge(shape, bands)
-        out = 8.0 + 0.5 * np.minimum(0.5 * (shape + 2.0) * np.log1p(bands.tangent**2), self.negligible)
+        near, rim = (np.log1p((v / bands.distance_mm) ** 2) for v in (bands.from_mm, bands.to_mm))
+        fall = np.minimum(0.5 * (shape + 2.0) * (rim - near), self.negligible)
+        out = 3.5 + 0.3 * facets * np.minimum(bands.part_out, 1.0) + 0.5 * fall
         return _rounded(np.where(edge, 32.0, in_plane)), _rounded(out)
 
     def in_plane(self, shape: float, bands: Bands, count: int) -> tuple[FloatArray, FloatArray]:
@@ -141,14 +143,15 @@ class CosineKernel:
         return u, w
 
     def out_of_plane(
-        self, shape: float, bands: Bands, u: FloatArray, count: int
+        self, shape: float, bands: Bands, u: FloatArray, distance_mm: FloatArray, count: int
     ) -> tuple[FloatArray, FloatArray]:
         """Return nodes and weights up to the rim or to where the lobe ends."""
         nodes, weights = gauss_legendre(count)
         reach = np.sqrt(np.expm1(2.0 * self.negligible / (shape + 2.0))) if shape > 2.0 else np.inf
         foreshortened = np.cos(u + (bands.theta_i - bands.axis)[:, None])
-        end = np.minimum(bands.tangent[:, None], reach / foreshortened)[..., None]
-        return 0.5 * end * (1.0 + nodes), 0.5 * end * weights
+        start, rim = bands.from_mm[:, None] / distance_mm, bands.to_mm[:, None] / distance_mm
+        half = 0.5 * np.maximum(np.minimum(rim, reach / foreshortened) - start, 0.0)[..., None]
+        return start[..., None] + half * (1.0 + nodes), half * weights
 
     def _inside(self, bands: Bands) -> tuple[FloatArray, FloatArray]:
         """Return the limits of the bands in u, cut where cos_+ ends."""
@@ -192,16 +195,19 @@ class GGXKernel:
         """Return all bands above the sample plane."""
         return np.flatnonzero((bands.high > bands.low) | bands.single)
 
-    def sizes(self, shape: float, bands: Bands) -> tuple[CountArray, CountArray]:
+    def sizes(self, shape: float, bands: Bands, facets: int) -> tuple[CountArray, CountArray]:
         """Return the numbers of nodes: in proportion to the e-foldings from the lobe's width to the rim."""
         span, away = self._ends(shape, bands)
-        in_plane = 10.0 + 5.5 * (span[1] - span[0])
+        in_plane = 6.0 + 0.8 * facets * bands.part + 5.5 * (span[1] - span[0])
         # a facet of slope a is masked where cos(theta_o) falls below a: a feature at the horizon
         rising = 0.5 * np.pi - np.maximum(np.abs(bands.low), np.abs(bands.high))
         in_plane = in_plane + np.where(rising < 0.2 * (bands.high - bands.low), 40.0, 0.0)
         in_plane = np.where(rising < 3.0 * (bands.high - bands.low), in_plane + 16.0, in_plane)
         narrow = np.hypot(2.0 * shape * np.cos(bands.theta_i), away * np.cos(bands.theta_i))
-        out = 7.0 + 5.5 * np.arcsinh(bands.tangent / np.maximum(narrow, 1e-6))
+        start, rim = (
+            np.arcsinh(v / bands.distance_mm / np.maximum(narrow, 1e-6)) for v in (bands.from_mm, bands.to_mm)
+        )
+        out = 3.5 + 0.3 * facets * np.minimum(bands.part_out, 1.0) + 5.5 * (rim - start)
         return _rounded(in_plane), _rounded(out)
 
     def in_plane(self, shape: float, bands: Bands, count: int) -> tuple[FloatArray, FloatArray]:
@@ -214,7 +220,7 @@ class GGXKernel:
         return scale * np.sinh(x), scale * np.cosh(x) * half * weights
 
     def out_of_plane(
-        self, shape: float, bands: Bands, u: FloatArray, count: int
+        self, shape: float, bands: Bands, u: FloatArray, distance_mm: FloatArray, count: int
     ) -> tuple[FloatArray, FloatArray]:
         """Return nodes at equal steps of asinh(y / width)."""
         nodes, weights = gauss_legendre(count)
@@ -222,9 +228,12 @@ class GGXKernel:
         middle = np.cos(i + 0.5 * u)
         scale = np.hypot(2.0 * shape * middle, 2.0 * middle * np.sin(0.5 * u))[..., None]
         scale = np.maximum(scale, 1e-9)
-        end = 0.5 * np.arcsinh(bands.tangent[:, None, None] / scale)
-        x = end * (1.0 + nodes)
-        return scale * np.sinh(x), scale * np.cosh(x) * end * weights
+        start, rim = (
+            np.arcsinh((v[:, None] / distance_mm)[..., None] / scale) for v in (bands.from_mm, bands.to_mm)
+        )
+        half = 0.5 * (rim - start)
+        x = start + half * (1.0 + nodes)
+        return scale * np.sinh(x), scale * np.cosh(x) * half * weights
 
     def _scale(self, shape: float, away: FloatArray) -> FloatArray:
         return np.hypot(2.0 * shape, away)

@@ -30,7 +30,7 @@ class FitLambert:
         cls, receiver: Receiver, theta_i_deg: FloatArray, theta_o_deg: FloatArray, is_s: BoolArray
     ) -> FitLambert:
         """Return the model at n positions, (n,) each; only the observation plays a part."""
-        return cls(receiver.diffuse_integral(theta_o_deg))
+        return cls(receiver.diffuse_integral(theta_o_deg, theta_i_deg))
 
     @staticmethod
     def scattering(published: FloatArray) -> ScatteringModel:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +26,26 @@ _ORDERS: tuple[Derivatives, ...] = (
     ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)),
 )
 """What is returned up to each order: derivatives by (log(shape), n2)."""
+
+
+def tabulated(kernel: Kernel, receiver: Receiver, pairs: FloatArray) -> tuple[FacetTable, FloatArray]:
+    """Return a kernel's table at distinct (theta_i, theta_o), (2, g), and the facets' cosines, (g, j).
+
+    The last few are kept: two models with the same kernel, or two fits of one scan, share their table.
+    """
+    key: tuple[Any, ...] = (kernel, receiver, tuple(pairs[0].tolist()), tuple(pairs[1].tolist()))
+    return _tabulated(*key)
+
+
+@functools.lru_cache(maxsize=4)
+def _tabulated(
+    kernel: Kernel, receiver: Receiver, theta_i_deg: tuple[float, ...], theta_o_deg: tuple[float, ...]
+) -> tuple[FacetTable, FloatArray]:
+    bands = bands_of(receiver, np.array(theta_i_deg), np.array(theta_o_deg))
+    count = len(theta_i_deg)
+    facets = Facets.of(bands, count, N2_MIN, N2_MAX)
+    table = FacetTable.of(kernel, bands, facets, count, receiver.solid_angle_sr, receiver.lobe_growth)
+    return table, facets.cosines
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +82,8 @@ class FacetLobe:
     ) -> FacetLobe:
         """Tabulate a kernel for a receiver at n positions, (n,) each."""
         pairs, index = np.unique(np.stack([theta_i_deg, theta_o_deg]), axis=1, return_inverse=True)
-        bands = bands_of(receiver, pairs[0], pairs[1])
-        count = pairs.shape[1]
-        facets = Facets.of(bands, count, N2_MIN, N2_MAX)
-        table = FacetTable.of(kernel, bands, facets, count, receiver.solid_angle_sr, receiver.lobe_growth)
-        return cls(table, facets.cosines, index.reshape(-1), is_s)
+        table, cosines = tabulated(kernel, receiver, pairs)
+        return cls(table, cosines, index.reshape(-1), is_s)
 
     def evaluate(self, log_shape: FloatArray, n2: FloatArray, order: int) -> tuple[FloatArray, ...]:
         """Return the column (n, m) at m points, then its derivatives by log(shape) and by n2, up to `order`.

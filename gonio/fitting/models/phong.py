@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from gonio.aperture import Receiver
 from gonio.brdf import ModifiedPhong, ScatteringModel
 from gonio.fitting.columns import BoolArray, Columns, FloatArray
-from gonio.fitting.models.bands import bands_of
-from gonio.fitting.models.facets import Facets
 from gonio.fitting.models.kernels import CosineKernel
+from gonio.fitting.models.lobes import tabulated
 from gonio.fitting.models.table import FacetTable
 from gonio.fitting.solve import grid_start
 
@@ -39,16 +38,9 @@ class FitPhong:
     ) -> FitPhong:
         """Tabulate a receiver at n positions, (n,) each; the polarization plays no part."""
         pairs, index = np.unique(np.stack([theta_i_deg, theta_o_deg]), axis=1, return_inverse=True)
-        count = pairs.shape[1]
-        table = FacetTable.of(
-            CosineKernel(),
-            bands_of(receiver, pairs[0], pairs[1]),
-            Facets.none(count),
-            count,
-            receiver.solid_angle_sr,
-            receiver.lobe_growth,
-        )
-        return cls(receiver.diffuse_integral(theta_o_deg), table, index.reshape(-1))
+        table, _ = tabulated(CosineKernel(), receiver, pairs)
+        diffuse = receiver.diffuse_integral(theta_o_deg, theta_i_deg)
+        return cls(diffuse, table.summed(pairs.shape[1]), index.reshape(-1))
 
     @staticmethod
     def scattering(published: FloatArray) -> ScatteringModel:

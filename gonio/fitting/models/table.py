@@ -32,7 +32,7 @@ def facet_integrals(kernel: Kernel, shape: float, bands: Bands, facets: Facets, 
         groups = {(1, 1): live}
     else:
         chosen = bands.pick(live)
-        sizes = np.stack(kernel.sizes(shape, chosen), axis=1)
+        sizes = np.stack(kernel.sizes(shape, chosen, facets.zeta.size), axis=1)
         if bands.flat:
             sizes[:, 1] = 1
         groups = {tuple(pair): live[np.all(sizes == pair, axis=1)] for pair in np.unique(sizes, axis=0)}
@@ -58,7 +58,15 @@ def _moments(
         at = Directions.tilted(i, u, 1.0, 0.0)
         weight = weight_u * kernel.dsf(shape, at)
     else:
-        y, weight_y = kernel.out_of_plane(shape, bands, u, out)
+        share, distance_mm = bands.accepted(i + u)
+        y, weight_y = kernel.out_of_plane(shape, bands, u, distance_mm, out)
+        if np.any(bands.slope):
+            weight_y = weight_y * (
+                bands.level[:, None, None] + bands.slope[:, None, None] * (y * distance_mm[..., None])
+            )
+        else:
+            weight_y = weight_y * bands.level[:, None, None]
+        weight_u = weight_u * share
         slope = np.cos(i + u - bands.axis[:, None])[..., None]  # tan(psi) = y slope
         cos_psi = 1.0 / np.sqrt(1.0 + (y * slope) ** 2)
         at = Directions.tilted(i[..., None], u[..., None], cos_psi, y * slope * cos_psi)
@@ -106,6 +114,12 @@ class FacetTable:
         stack[1, :-1] = np.polynomial.chebyshev.chebder(c, 1, scl=2.0 / (high - low))
         stack[2, :-2] = np.polynomial.chebyshev.chebder(c, 2, scl=2.0 / (high - low))
         return cls(kernel, stack, solid_angle_sr, growth)
+
+    def summed(self, count: int) -> FacetTable:
+        """Return the table of the lobes alone, R = 1: the sums over the facets of `count` positions."""
+        orders, degree = self.coefficients.shape[:2]
+        sums = np.sum(self.coefficients.reshape(orders, degree, count, -1), axis=3)
+        return FacetTable(self.kernel, sums, self.solid_angle_sr, self.growth)
 
     def evaluate(self, log_shape: FloatArray, order: int) -> tuple[FloatArray, ...]:
         """Return W at m shapes, (n * j, m), and its derivatives by the logarithm up to `order`."""

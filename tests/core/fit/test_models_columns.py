@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from surface_readings import surface_reading
 
-from gonio.aperture import Aperture, InPlaneAverage, PointReceiver
+from gonio.aperture import Aperture, IncidentBeam, InPlaneAverage, InstrumentFunction, PointReceiver
 from gonio.errors import FitError
 from gonio.fitting.columns import FitModel, FloatArray, readings
 from gonio.fitting.models import FIT_MODELS, FitCoupled, FitGGX, FitLambert, FitPhong, FitReciprocal
@@ -65,6 +65,62 @@ def test_readings_are_the_integral_of_the_dsf_over_the_aperture(
                 ]
             )
             np.testing.assert_allclose(found[:, k], expected, rtol=0.0, atol=1e-9 * np.max(expected))
+
+
+@pytest.mark.parametrize("kind", MODELS, ids=lambda k: k.name)
+@pytest.mark.parametrize(
+    "beam", [IncidentBeam(1.0, 1.0), IncidentBeam(6.0, 0.0), IncidentBeam(0.0, 25.0)], ids=str
+)
+def test_readings_with_a_beam_are_the_mean_over_its_spot(kind: type[FitModel], beam: IncidentBeam) -> None:
+    """The mirror direction at the rim too; lobes wide enough for Gauss nodes over the spot."""
+    positions = np.array([(20.0, 20.0), (45.0, 52.5), (55.0, 86.0), (30.0, -12.0), (60.0, 52.6)])
+    theta_i, theta_o = positions.T
+    aperture = APERTURES[0]
+    shape = {"log_alpha": np.log(500.0), "log_roughness": np.log(0.06), "n2": 1.3}
+    shapes = np.array([[shape[name] for name in kind.shape]])
+    basic = np.concatenate([[[0.3, 0.04][: len(kind.linear)]], shapes], axis=1)
+    model = kind.of(InstrumentFunction(aperture, beam), theta_i, theta_o, np.ones(theta_i.size, bool))
+    surface = kind.scattering(kind.published(basic))
+    one = type(surface)(*(float(np.asarray(getattr(surface, p))[0]) for p in kind.parameters))
+    nodes, weights = np.polynomial.legendre.leggauss(8 if beam.width_mm == 1.0 else 24)
+    expected = []
+    for i, o in positions:
+        spot = 0.5 * beam.width_mm / np.cos(np.deg2rad(i))
+        xs = [(spot * t, 0.5 * w) for t, w in zip(nodes, weights, strict=True)] if spot else [(0.0, 1.0)]
+        ys = [(0.5 * beam.height_mm * t, w) for t, w in zip(nodes, weights, strict=True) if t > 0.0]
+        ys = ys if beam.height_mm else [(0.0, 1.0)]
+        read = [
+            a * b * surface_reading(one, i, o, "s", aperture, panels=5, x_mm=x, y_mm=y)
+            for x, a in xs
+            for y, b in ys
+        ]
+        expected.append(sum(read))
+    np.testing.assert_allclose(readings(model, basic)[:, 0], expected, rtol=0.0, atol=1e-9 * np.max(expected))
+
+
+def test_a_narrow_lobe_enters_over_the_spot() -> None:
+    """alpha 3e5, 0.1 deg wide, at the rim: the part of a 6 mm spot whose mirror ray enters is counted."""
+    aperture, beam = APERTURES[0], IncidentBeam(6.0, 0.0)
+    theta_i = np.full(41, 30.0)
+    theta_o = 30.0 + np.linspace(-10.0, 10.0, 41)
+    log_alpha = FitReciprocal.high[0]
+    model = FitReciprocal.of(InstrumentFunction(aperture, beam), theta_i, theta_o, np.ones(41, bool))
+    narrow = model.columns(np.array([[log_alpha, 1.5]])).value[1][:, 0]
+    d = np.deg2rad(theta_o - theta_i)
+    spot = 3.0 / np.cos(np.deg2rad(30.0))
+    # the mirror ray from x crosses the aperture's plane at R tan(-d) - x cos(theta_i)/cos(d) from its middle
+    x = np.linspace(-spot, spot, 20001)
+    at = aperture.distance_mm * np.tan(-d)[:, None] - x * np.cos(np.deg2rad(30.0)) / np.cos(d)[:, None]
+    share = np.mean(np.abs(at) <= 13.0, axis=1)
+    whole = narrow[20]
+    assert share[20] == 1.0
+    np.testing.assert_allclose(narrow / whole, share, rtol=0.0, atol=6e-3)
+
+
+def test_a_divergent_beam_is_refused() -> None:
+    receiver = InstrumentFunction(APERTURES[0], IncidentBeam(1.0, 1.0, 0.5))
+    with pytest.raises(FitError, match=r"diverges by 0\.5 deg"):
+        FitGGX.of(receiver, POSITIONS[:, 0], POSITIONS[:, 1], np.ones(len(POSITIONS), bool))
 
 
 @pytest.mark.parametrize("kind", MODELS, ids=lambda k: k.name)
@@ -141,7 +197,10 @@ def test_columns_without_derivatives_are_the_same_and_repeated_points_too() -> N
             np.testing.assert_array_equal(plain.value[k], full.value[k])
             wide = np.broadcast_to(plain.value[k], (theta_i.size, 4))
             np.testing.assert_allclose(
-                np.broadcast_to(repeated.value[k], (theta_i.size, 20)), np.repeat(wide, 5, axis=1), rtol=1e-12
+                np.broadcast_to(repeated.value[k], (theta_i.size, 20)),
+                np.repeat(wide, 5, axis=1),
+                rtol=1e-12,
+                atol=1e-15,
             )
 
 
