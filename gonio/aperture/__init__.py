@@ -3,6 +3,7 @@
 from gonio.aperture.approximations import InPlaneAverage, PointReceiver
 from gonio.aperture.beam import IncidentBeam
 from gonio.aperture.instrument import InstrumentFunction
+from gonio.aperture.leaving_out import LeftOut, leaving_out
 from gonio.aperture.receiver import APERTURE_NAMES, ApertureName, Receiver
 from gonio.aperture.rectangle import WIDEST_HALF_ANGLE_DEG, Aperture
 
@@ -14,6 +15,8 @@ __all__ = [
     "InPlaneAverage",
     "IncidentBeam",
     "InstrumentFunction",
+    "LeftOut",
     "PointReceiver",
     "Receiver",
+    "leaving_out",
 ]
