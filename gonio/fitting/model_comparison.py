@@ -30,7 +30,7 @@ FloatArray = NDArray[np.float64]
 
 MODEL_NAMES: tuple[ModelName, ...] = get_args(ModelName)
 
-_CHECKED = 5  # wavelengths whose fitted surface is checked for energy and reciprocity
+_CHECKED = 3  # wavelengths whose fitted surface is checked for energy and reciprocity
 
 
 @dataclass(frozen=True, slots=True, eq=False)

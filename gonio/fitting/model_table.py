@@ -61,12 +61,12 @@ def _check(c: Candidate) -> str:
 
 def _legend(found: ModelComparison, fitted: int) -> str:
     return (
-        f"AICc is summed over the {fitted} wavelengths that all models fit, and counted from the best; weight "
-        f"is the evidence that this model holds at all of them, best at the number where it leads. All have the "
-        f"same weights, from the residuals of '{found.weights_from}'. runs p is the chance of residuals that "
-        f"keep their sign so long along theta_o: the median, and all wavelengths together. Then the worst "
-        f"violation of reciprocity of the fitted surface, its largest albedo, and the incidence (deg) from "
-        f"which that exceeds 1."
+        f"AICc is summed over the {fitted} wavelengths that all models fit, and counted from the best; "
+        f"weight is the evidence that this model holds at all of them, best at the number where it leads. "
+        f"All have the same weights, from the residuals of '{found.weights_from}'. runs p is the chance of "
+        f"residuals that keep their sign so long along theta_o: the median, and all wavelengths together. "
+        f"Then the worst violation of reciprocity of the fitted surface, its largest albedo, and the "
+        f"incidence (deg) from which that exceeds 1."
     )
 
 
