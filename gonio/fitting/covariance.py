@@ -144,7 +144,12 @@ def _scaled(
     """Return the Jacobian with columns of length one, which are free, and the lengths."""
     j = jacobian(model, basic)
     size = np.sqrt(np.einsum("mna,mna,nm->ma", j, j, w))
-    free = ~held & (size > _FLAT * np.max(size, axis=1, keepdims=True))
+    count = len(model.linear)
+    # a linear column has no unit of its own; a shape moves readings by what its columns' coefficients are
+    largest = np.max(size[:, :count], axis=1, keepdims=True)
+    moved = np.max(size[:, :count] * np.abs(basic[:, :count]), axis=1, keepdims=True)
+    least = np.concatenate([np.repeat(largest, count, 1), np.repeat(moved, size.shape[1] - count, 1)], axis=1)
+    free = ~held & (size > _FLAT * least)
     unit = np.where(free, size, 1.0)
     return np.where(free, 1.0, 0.0)[:, None, :] * j / unit[:, None, :], free, unit
 
