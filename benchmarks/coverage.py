@@ -1,7 +1,7 @@
 """Is the fit unbiased, as precise as the data allow, and do 95 % intervals cover 95 %?  Against known truths.
 
     python benchmarks/coverage.py [--cases 100] [--each 100] [--polarization joint s p] [--corners]
-                                  [--alone] [--common] [--strata]
+                                  [--intervals wald|profile] [--alone] [--common] [--strata]
 
 Truths are drawn at random: alpha 10...2000 and rho_s 0.2...2 on their logarithms, n2 1.2...1.8, rho_d
 0.05...0.9, noise 0.1...5 % of a white panel's reading on its logarithm; or with `--corners` all 16 corners of
@@ -130,7 +130,14 @@ class Outcome:
 
 
 def run(
-    simulator: Simulator, cases: list[Case], each: int, polarization: str, *, alone: bool, common: bool
+    simulator: Simulator,
+    cases: list[Case],
+    each: int,
+    polarization: str,
+    *,
+    alone: bool,
+    common: bool,
+    intervals: str,
 ) -> Outcome:
     at = simulator.at
     shape = (len(cases), each, len(QUANTITIES))
@@ -147,7 +154,7 @@ def run(
             y += OFFSET_U * rng.standard_normal(each)
             options = {"gain_u": GAIN_U, "offset_u": OFFSET_U}
         fit = fit_readings(
-            *at.arguments(), y, instrument=ARTA, polarization=polarization,
+            *at.arguments(), y, instrument=ARTA, polarization=polarization, intervals=intervals,
             detector_index=np.arange(each) % 2 if alone else None, **options,
         )  # fmt: skip
         k = fit.hemispherical(8.0)
@@ -232,6 +239,7 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=2022)
     options.add_argument("--polarization", nargs="+", default=["joint", "s", "p"])
     options.add_argument("--corners", action="store_true", help="one table for each corner of the range")
+    options.add_argument("--intervals", choices=["wald", "profile"], default="wald")
     options.add_argument("--alone", action="store_true", help="each scan without neighbours")
     options.add_argument("--common", action="store_true", help="baseline and dark errors too")
     options.add_argument("--strata", action="store_true", help="by noise level too")
@@ -243,7 +251,15 @@ def main() -> None:
     print("wanted: |bias| <= 0.1 se, variance <= 1.05 CRB, 94 % <= covered <= 96 %")
     failed = []
     for polarization in chosen.polarization:
-        found = run(simulator, cases, chosen.each, polarization, alone=chosen.alone, common=chosen.common)
+        found = run(
+            simulator,
+            cases,
+            chosen.each,
+            polarization,
+            alone=chosen.alone,
+            common=chosen.common,
+            intervals=chosen.intervals,
+        )
         failed += print_table(found, polarization, chosen.common)
         for title, part in parts(found, cases, corners=chosen.corners, strata=chosen.strata):
             failed += print_table(part, f"{polarization}, {title}", chosen.common)
