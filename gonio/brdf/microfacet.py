@@ -69,10 +69,10 @@ class GGX(DiffuseAndLobe):
 
     ``brdf = rho_d/pi + rho_s R_x(n2, theta_h) D G / (4 cos(theta_i) cos(theta_o))``
 
-    The facets reflect once; what they would reflect twice is lost (a few per cent at roughness 1).  With
-    rho_s = 1 this is a real interface.  At normal incidence the lobe falls to half at the same angle as a
-    cosine lobe of ``alpha = 0.84 / roughness^2``, and has longer tails.  Polarization out of plane as in
-    `ReciprocalLobe`.
+    The facets reflect once; what they would reflect twice is lost: of R = 1 at normal incidence 1.2 % at
+    roughness 0.1, 12 % at 0.3, and ln 2 = 69 % at 1.  With rho_s = 1 this is a real interface.  At normal
+    incidence the lobe falls to half at the same angle as a cosine lobe of ``alpha = 0.84 / roughness^2``, and
+    has longer tails.  Polarization out of plane as in `ReciprocalLobe`.
 
     Parameters
     ----------

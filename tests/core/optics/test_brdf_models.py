@@ -282,6 +282,12 @@ def test_albedo_of_ggx_against_visible_normals(roughness: float, theta_i_deg: fl
     assert value == pytest.approx(sampled_ggx_albedo(roughness, 1.5, theta_i_deg, 1000), rel=2e-5)
 
 
+def test_white_facets_of_roughness_one_in_closed_form() -> None:
+    """D is 1/pi and ``G / (4 cos_i cos_o) = 1 / (2 (1 + cos_o))`` at normal incidence: 1 - ln 2 is left."""
+    white = GGX(0.0, 1.0, 1.0, 1e12)  # R = 1
+    assert float(white.specular_albedo(0.0, "unpolarized")) == pytest.approx(1.0 - np.log(2.0), rel=1e-10)
+
+
 def test_quadrature_albedos_have_converged() -> None:
     """A finer rule changes nothing above 1e-9, from the narrowest lobes to grazing incidence."""
     from gonio.brdf import hemisphere
