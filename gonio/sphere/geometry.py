@@ -15,6 +15,7 @@ from gonio.errors import ConfigError
 
 OPTION = "--sphere-geometry"
 DEFAULT_THETA_I_DEG = 8.0
+_LONGEST = 100
 _ANGLE = r"(\d+(?:\.\d+)?)\s*(?:°|deg|degrees?)?"
 _FORMS = re.compile(
     rf"^(?:{_ANGLE}\s*[:/]\s*(d[ie]|d|t|h|hemispherical)|(d[ie]|d)\s*[:/]\s*{_ANGLE}|(sc[ie]))$"
@@ -54,6 +55,8 @@ def parse_geometry(text: str) -> Geometry:
     known = (
         f"write {OPTION} 8:di (specular included, compared with k_g) or 8:de (excluded, compared with k_d)"
     )
+    if len(text) > _LONGEST:
+        raise ConfigError(f"{len(text)} characters name no geometry of a sphere; {known}")
     rest = text.strip().lower()
     words = set(re.findall(r"included|excluded", rest))
     rest = re.sub(r"[\s,;]*(?:\bspecular\b)?[\s,;]*\b(?:included|excluded)\b", "", rest).strip(" ,;")

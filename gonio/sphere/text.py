@@ -45,31 +45,40 @@ def comparison_text(comparison: SphereComparison) -> str:
 
 
 def _rows(comparison: SphereComparison, parts: tuple[Part, ...], bands: tuple[Part, ...]) -> list[str]:
-    k = comparison.coefficient
-    head = (
-        f"{'nm':<12}{'detector':<12}{k + ' fit':>9}{'sphere':>9}{'fit - sphere':>21}"
-        f"{'U_fit':>9}{'U_common':>10}{'U_sphere':>10}{'E_n':>8}  |E_n|<=1"
-    )
-    lines = [head, "-" * len(head)]
+    has_common = bool(comparison.mode_names)
+    cells = [["nm", "detector", f"{comparison.coefficient} fit", "sphere", "fit - sphere", "", "U_fit",
+              "U_common", "U_sphere", "E_n", "|E_n|<=1"]]  # fmt: skip
     for part in parts:
-        lines.append(_row(part, "", bool(comparison.mode_names)))
+        cells.append(_cells(part, "", has_common))
         own = [b for b in bands if part.low_nm <= b.low_nm and b.high_nm <= part.high_nm
                and b.detector == part.detector]  # fmt: skip
         if len(own) > 1:
-            lines += [_row(band, "  ", bool(comparison.mode_names)) for band in own]
-    return lines
+            cells += [_cells(band, "  ", has_common) for band in own]
+    width = [max(map(len, column)) + 2 for column in zip(*cells, strict=True)]
+    lines = [
+        "".join(
+            f"{cell:<{w}}" if k < 2 else f"{cell:>{w}}"
+            for k, (cell, w) in enumerate(zip(row, width, strict=True))
+        )
+        for row in cells
+    ]
+    return [lines[0], "-" * len(lines[0]), *lines[1:]]
 
 
-def _row(part: Part, indent: str, has_common: bool) -> str:
-    where = f"{indent}{part.low_nm:g}-{part.high_nm:g}" if part.count > 1 else f"{indent}{part.low_nm:g}"
-    relative = f"{100 * part.relative:+.1f} %" if math.isfinite(part.relative) else "-"
-    common = _u(part.u_common) if has_common else "-"
-    within = f"{part.within}/{part.judged}" if part.judged else "-"
-    return (
-        f"{where:<12}{'' if indent else part.detector:<12}{part.value:>9.4f}{part.reference:>9.4f}"
-        f"{100 * part.difference:>+9.2f} %R{relative:>9}"
-        f"{_u(part.u_fit):>9}{common:>10}{_u(part.u_sphere):>10}{_e_n(part.e_n):>8}{within:>10}"
-    )
+def _cells(part: Part, indent: str, has_common: bool) -> list[str]:
+    return [
+        f"{indent}{part.low_nm:g}-{part.high_nm:g}" if part.count > 1 else f"{indent}{part.low_nm:g}",
+        "" if indent else part.detector,
+        f"{part.value:.4f}",
+        f"{part.reference:.4f}",
+        f"{100 * part.difference:+.2f} %R",
+        f"{100 * part.relative:+.1f} %" if math.isfinite(part.relative) else "-",
+        _u(part.u_fit),
+        _u(part.u_common) if has_common else "-",
+        _u(part.u_sphere),
+        _e_n(part.e_n),
+        f"{part.within}/{part.judged}" if part.judged else "-",
+    ]
 
 
 def _u(value: float) -> str:

@@ -29,6 +29,7 @@ COVERAGE = 2.0
 """Coverage factor of everything that is called expanded."""
 _LARGEST_COVERAGE = 10.0
 _LARGEST = 1.0
+_LONGEST = 200
 
 _KINDS = {"relative": "relative", "rel": "relative", "absolute": "absolute", "abs": "absolute"}
 _NUMBER = r"(?:\d+(?:[.,]\d+)?|[.,]\d+)(?:e[+-]?\d+)?"
@@ -107,6 +108,8 @@ def parse_uncertainty(text: str, reflectance: FloatArray | None = None) -> Spher
     ConfigError
         The statement leaves something open, contradicts itself, or is none; with what it could mean.
     """
+    if len(text) > _LONGEST:
+        raise ConfigError(f"{OPTION}: {len(text)} characters state no uncertainty; write '1 % relative, k=2'")
     rest = text.strip().lower()
     coverage, rest = _coverage(text, rest)
     kinds = {_KINDS[word] for word in re.findall(r"[a-z]+", rest) if word in _KINDS}

@@ -101,6 +101,13 @@ def test_statements_that_are_none(text: str, problem: str) -> None:
     assert f"--sphere-u '{text}'" in str(caught.value)
 
 
+def test_a_statement_too_long_for_one_is_refused_at_once() -> None:
+    for parse in (parse_uncertainty, parse_geometry):
+        for text in ("column " + " " * 50_000 + "x, k=1", "8" * 50_000 + ":di", "included " * 5000):
+            with pytest.raises(ConfigError, match=r"\d+ characters"):
+                parse(text)
+
+
 def test_a_column_of_the_file_in_its_unit() -> None:
     stated = parse_uncertainty("column U / %, k=2")
     assert (stated.kind, stated.column, stated.coverage) == ("column", "U / %", 2.0)
