@@ -6,6 +6,7 @@ import sys
 import time
 from pathlib import Path
 
+from gonio.cli.budget import BudgetRequest, with_budget
 from gonio.cli.fit_options import FitRequest
 from gonio.cli.progress import progress_bar, readable_duration
 from gonio.cli.sphere import SphereRequest, bring_in, sphere_text
@@ -23,6 +24,7 @@ def fit(
     *,
     compare: bool,
     sphere: SphereRequest | None = None,
+    budget: BudgetRequest | None = None,
 ) -> int:
     """Fit a scan, store the result beside the data, print the table."""
     scan = load(path)
@@ -33,11 +35,16 @@ def fit(
     start = time.perf_counter()
     result = fit_scan(scan, **request.arguments(scan))
     duration_s = time.perf_counter() - start
+    text = None
+    if budget is not None:
+        result, text = with_budget(scan, result, budget)
     result.save(path)
     print(fit_table(scan, result))
     against = sphere_text(scan, result)
     if against:
         print(f"\n{against}\n")
+    if text is not None:
+        print(f"\n{text}\n")
     print(
         f"{len(result.wavelength_nm)} wavelengths, {len(result.theta_i_deg)} positions, {request.title}: "
         f"{readable_duration(duration_s)}; stored in {path}"

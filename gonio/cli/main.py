@@ -12,6 +12,7 @@ from pathlib import Path
 from types import FrameType
 
 from gonio import __version__
+from gonio.cli.budget import add_budget_options, budget_request
 from gonio.cli.fit_options import add_fit_options, fit_request
 from gonio.cli.sphere import add_sphere_options, sphere_request
 from gonio.errors import GonioError, ScanStopped
@@ -77,6 +78,7 @@ def build_parser() -> argparse.ArgumentParser:
     fit.add_argument("scan", type=Path, metavar="FILE.h5")
     add_fit_options(fit)
     fit.add_argument("--compare", action="store_true", help="the four aperture models side by side")
+    add_budget_options(fit)
     add_sphere_options(fit)
 
     facade = commands.add_parser(
@@ -204,6 +206,7 @@ def _run(options: argparse.Namespace) -> int:
             fit_request(options),
             compare=options.compare,
             sphere=sphere_request(options),
+            budget=budget_request(options),
         )
     if options.command == "facade":
         from gonio.cli.analysis import facade

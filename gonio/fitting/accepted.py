@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -222,3 +222,20 @@ def _shown(estimate: FloatArray, ends: Ends) -> tuple[FloatArray, FloatArray]:
     below = np.where(np.isfinite(low), low, 0.9 * size / (1.0 + _BEYOND))
     above = np.where(np.isfinite(high), high, 4.0 * size)
     return estimate - (1.0 + _BEYOND) * below, estimate + (1.0 + _BEYOND) * above
+
+
+def with_profile_intervals(fit: FitResult) -> FitResult:
+    """Return a fit whose parameters have the intervals of their profiles, open ends included.
+
+    Where a profile does not exist (no lobe, nothing fitted) the fit's own interval stays.
+    """
+    lower, upper = fit.lower.copy(), fit.upper.copy()
+    for column, name in enumerate(fit.parameters):
+        found = profile(fit, name, points=0)
+        known = ~np.isnan(found.lower) & ~np.isnan(found.upper)
+        lower[known, column], upper[known, column] = found.lower[known], found.upper[known]
+        if name == "n2":  # without a lower bound is without one but 1
+            lower[:, column] = np.where(np.isneginf(lower[:, column]), 1.0, lower[:, column])
+        elif f"log_{name}" in fit.kind.shape:
+            lower[:, column] = np.where(np.isneginf(lower[:, column]), 0.0, lower[:, column])
+    return replace(fit, lower=lower, upper=upper, intervals="profile")

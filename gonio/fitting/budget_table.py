@@ -58,7 +58,7 @@ def budget_table(budget: Budget, k: int) -> str:
         for g, given in stated:
             if given.u and not given.even:
                 cells = [float(budget.contribution[g, k, q] / given.u) for q, _ in shown]
-                lines.append(row(f"  {given.name:<20}{'':>21} 1/{given.unit:<7}", cells, True))
+                lines.append(row(f"  {given.name:<20}{'':>21} per {given.unit:<5}", cells, True))
     lines += [
         f"  {given.name}: {given.wording}" + (", even: root mean square of the effect" if given.even else "")
         for _, given in stated

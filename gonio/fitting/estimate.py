@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gonio.aperture import APERTURE_NAMES, Aperture, ApertureName, IncidentBeam
 from gonio.errors import FitError
+from gonio.fitting.accepted import with_profile_intervals
 from gonio.fitting.assemble import Setting, assemble
 from gonio.fitting.columns import BoolArray, FitModel, FloatArray
 from gonio.fitting.covariance import CommonMode
@@ -32,7 +33,7 @@ _CHOICES: dict[str, tuple[str, ...]] = {
     "aperture": APERTURE_NAMES,
     "polarization": ("joint", "s", "p", "shared_n2"),
     "weights": ("auto", "r_sd", "none"),
-    "intervals": ("wald", "nlparci"),
+    "intervals": ("wald", "profile", "nlparci"),
     "loss": ("squares", "huber", "tukey"),
 }
 
@@ -79,7 +80,8 @@ def fit(
         ``"squares"``; ``"huber"`` and ``"tukey"`` make outliers count less (`gonio.fitting.robust`).
     intervals
         ``"wald"``: 95 % by Student's t, alpha on its logarithm, common-mode uncertainties included,
-        open-ended where the data give no bound.  ``"nlparci"``: exactly MATLAB's nlparci, which knows none of
+        open-ended where the data give no bound.  ``"profile"``: by profile likelihood everywhere, which a
+        long tail needs and which takes some 10 ms per wavelength (`gonio.fitting.accepted`).  ``"nlparci"``: exactly MATLAB's nlparci, which knows none of
         this, on unweighted residuals.
     detector_gain_u, detector_offset_u
         Standard uncertainties of each detector's gain (relative) and zero offset (in r), one for all or one
@@ -180,14 +182,14 @@ def fit_readings(
         _one_group(theta_i[chosen], is_s, used.use, separate=polarization == "shared_n2"),
     )  # fmt: skip
     common = None
-    if intervals == "wald":
+    if intervals != "nlparci":
         gain, offset = (
             np.nan_to_num(uncertainty(u, readings, name)[chosen][:, used.columns])
             for u, name in ((gain_u, "gain_u"), (offset_u, "offset_u"))
         )
         common = CommonMode(gain, offset, is_s) if np.any(gain) or np.any(offset) else None
     weighed = solve_weighed(bound, used, begin, free, detector[used.columns], common, loss)
-    return assemble(
+    found = assemble(
         bound,
         kind,
         weighed,
@@ -207,7 +209,7 @@ def fit_readings(
             model=model,
             aperture=aperture,
             polarization=polarization,
-            intervals=intervals,
+            intervals="wald" if intervals == "profile" else intervals,
             weights=used.weights,
             loss=loss,
             n2=n2 if isinstance(n2, str) else "given",
@@ -216,6 +218,7 @@ def fit_readings(
             sample_name=sample_name,
         ),
     )
+    return with_profile_intervals(found) if intervals == "profile" else found
 
 
 def _index(

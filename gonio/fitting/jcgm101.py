@@ -1,9 +1,9 @@
 """Is the linear budget right?  The same inputs by Monte Carlo, after JCGM 101:2008.
 
-Every trial draws the inputs and the noise, takes the readings as they would be interpreted with those inputs,
-and fits them: ``y' = y - (M(theta, x) - M(theta, x0))``.  M is the bench's own quadrature
-(`gonio.fitting.misaligned`), theta what the linear budget foretells for the trial, so that the result is right
-to the second order.  The noise of the references and the wavelength's slope enter to the first order.
+Every trial draws the inputs and the noise, takes the readings as they would be interpreted with those
+inputs, and fits them: ``y' = y - (M(theta, x) - M(theta, x0))``.  M is the bench's own quadrature
+(`gonio.fitting.misaligned`), theta what the linear budget foretells for the trial, so that the result is
+right to the second order.  The noise of the references and the wavelength's slope enter to the first order.
 
 The interval of the budget, value ± U, is then compared with the trials' 95 % interval: d_low and d_high must
 not pass the numerical tolerance, half a unit of the last of `digits` significant digits of u (JCGM 101:2008,

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 ApertureModel = ApertureName
 PolarizationChoice = Literal["joint", "s", "p", "shared_n2"]
-IntervalMethod = Literal["wald", "nlparci"]
+IntervalMethod = Literal["wald", "profile", "nlparci"]
 
 CONFIDENCE = 0.95
 _PER_WAVELENGTH = (

@@ -106,7 +106,7 @@ def test_a_lobe_inside_one_aperture_has_an_alpha_without_upper_end(
     few = positions[np.arange(0, 292, 4)]
     r = exact_readings(0.3, 0.5, 1e5, 1.5)[np.arange(0, 292, 4)]
     rng = np.random.default_rng(0)
-    y = r[:, None] * (1.0 + 0.3 * rng.standard_normal((r.size, 4)))
+    y = r[:, None] * (1.0 + 0.5 * rng.standard_normal((r.size, 4)))
     fit = fit_readings(few.theta_i_deg, few.theta_o_deg, few.polarization, y, instrument=aperture)
     found = profile(fit, "alpha", points=7)
     assert np.any(np.isposinf(found.upper))
@@ -146,6 +146,20 @@ def test_common_uncertainty_widens_in_quadrature(
     shared, _ = fitted(positions, r, aperture, noise=1.0, m=12, n2="constant")
     found = profile(shared, "n2", [500.0, 510.0], points=0)
     np.testing.assert_allclose(found.lower, shared.lower[:2, 3], rtol=1e-9)
+
+
+def test_the_fit_offers_profile_intervals(
+    positions: Positions, exact_readings: Readings, aperture: Aperture
+) -> None:
+    r = exact_readings(0.3, 0.5, 20.0, 1.1)
+    fit, _ = fitted(positions, r, aperture, noise=3.0, intervals="profile")
+    wald, _ = fitted(positions, r, aperture, noise=3.0)
+    assert fit.intervals == "profile"
+    for column, name in enumerate(fit.parameters):
+        found = profile(wald, name, points=0)
+        np.testing.assert_allclose(fit.upper[:, column], found.upper, rtol=1e-9)
+    np.testing.assert_array_equal(fit.se, wald.se)
+    assert np.all(fit.upper[:, 1] - fit.value[:, 1] > fit.value[:, 1] - fit.lower[:, 1])
 
 
 def test_without_a_lobe_only_the_diffuse_part_has_an_interval(
