@@ -2,6 +2,7 @@
 
 from gonio.fitting.estimate import fit, fit_readings
 from gonio.fitting.file import load_fit
+from gonio.fitting.ordinary import LeastSquares, least_squares, nlparci
 from gonio.fitting.result import (
     ApertureModel,
     Coefficient,
@@ -17,8 +18,11 @@ __all__ = [
     "FitResult",
     "Hemispherical",
     "IntervalMethod",
+    "LeastSquares",
     "PolarizationChoice",
     "fit",
     "fit_readings",
+    "least_squares",
     "load_fit",
+    "nlparci",
 ]

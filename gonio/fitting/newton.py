@@ -33,9 +33,9 @@ _OFFSET = 1e-10  # of the root of chi2, what a converged problem may still win
 _BLUNT = 1e-6  # the same where rounding stops the descent
 _SLIGHT = 1e-12  # of chi2: a change this small cannot be told from rounding
 _SHARE = 0.1  # of a bounded range in one step
+_IDLE = 1e3  # in rounding of the readings: a variable that moves them by less in such a step rests
 _STALLS = 3
-BOLD = 10.0
-"""First trust region, in lengths of x, of problems without bounds."""
+_PATIENCE = 100  # steps in which a problem must come closer
 
 
 def minimise(
@@ -46,22 +46,25 @@ def minimise(
     free: BoolArray,
     *,
     iterations: int,
-    bold: float = BOLD,
+    bold: FloatArray,
 ) -> tuple[FloatArray, Projected, BoolArray]:
     """Return x (m, k) at the local minimum each problem descends to, its state, and whether it got there.
 
-    `free` (m, k) are the variables that may move; `low` and `high` (k,) bound them.
+    `free` (m, k) are the variables that may move; `low` and `high` (k,) bound them; `bold` (m,) is the first
+    trust region, in lengths of x, where there are no bounds.
     """
     x = np.clip(x, low, high)
     state = evaluate(x, np.arange(len(x)))
     if not x.shape[1]:  # everything is linear
         return x, state, np.isfinite(state.chi2)
     descent = _Descent(evaluate, x, state, low, high, free, bold)
-    for _ in range(iterations):
+    for count in range(iterations):
         todo = np.flatnonzero(~descent.done)
         if not todo.size:
             break
         descent.advance(todo)
+        if count % _PATIENCE == _PATIENCE - 1:
+            descent.give_up()
     return x, state, descent.converged
 
 
@@ -76,7 +79,7 @@ class _Descent:
         low: FloatArray,
         high: FloatArray,
         free: BoolArray,
-        bold: float,
+        bold: FloatArray,
     ) -> None:
         m = len(x)
         self.evaluate, self.x, self.state = evaluate, x, state
@@ -84,12 +87,14 @@ class _Descent:
         width = np.where(np.isfinite(high - low), high - low, np.inf)
         self.longest = _SHARE * width
         self.scale = state.scale.copy()  # largest so far: a variable that fades must not run away
-        reach = np.where(np.isfinite(width), self.longest, bold * np.abs(x))
+        reach = np.where(np.isfinite(width), self.longest, bold[:, None] * np.abs(x))
         self.radius = np.sqrt(np.sum((self.scale * reach) ** 2, axis=1))
-        self.radius[self.radius == 0.0] = bold
+        self.radius = np.where(self.radius > 0.0, self.radius, bold)
         self.newton = np.zeros(m, np.bool_)
         self.stalls = np.zeros(m, np.intp)
         self.lowest = np.full(m, np.inf)
+        self.left = np.full(m, np.inf)  # what there is to win
+        self.marked = state.chi2.copy(), self.left.copy()
         self.done = ~np.isfinite(state.chi2)
         self.converged = np.zeros(m, np.bool_)
 
@@ -99,7 +104,9 @@ class _Descent:
         self.scale[todo] = np.maximum(self.scale[todo], here.scale)
         scale = self.scale[todo]
         pushed = (x <= self.low) & (here.gradient > 0.0) | (x >= self.high) & (here.gradient < 0.0)
-        held = ~self.free[todo] | pushed | (scale == 0.0)
+        # what rounding alone moves over its whole range has a direction of rounding, too
+        idle = np.isfinite(self.longest) & (here.scale * self.longest < _IDLE * np.sqrt(here.floor)[:, None])
+        held = ~self.free[todo] | pushed | (scale == 0.0) | idle
         step = step_within(here, scale, held, self.radius[todo], self.newton[todo])
         cut = np.max(np.abs(step.s) / self.longest, axis=1, initial=1.0)
         trial = np.clip(x + step.s / cut[:, None], self.low, self.high)
@@ -109,6 +116,13 @@ class _Descent:
         go = np.flatnonzero(~ended)
         if go.size:
             self._try(todo[go], here.of(go), trial[go], step.exact[go], noise[go])
+
+    def give_up(self) -> None:
+        """End problems that crawl where the readings hardly depend on x, far from any optimum."""
+        chi2, left = self.marked
+        crawl = (self.state.chi2 > (1.0 - 1e-4) * chi2) & (self.left > 0.1 * left)
+        self.done |= crawl & (self.left > 1e-3 * self.state.chi2)
+        self.marked = self.state.chi2.copy(), self.left.copy()
 
     def _ended(
         self,
@@ -120,7 +134,7 @@ class _Descent:
         faded: BoolArray,
     ) -> BoolArray:
         """Return which problems have nothing left to win that can be seen, and note which have converged."""
-        left = step.decrement
+        left = self.left[todo] = step.decrement
         sound = ~step.downward & ~faded  # a model that no longer depends on x has run away
         there = sound & (left <= np.maximum(_OFFSET**2 * here.chi2, here.floor))
         blunt = sound & (left <= np.maximum(np.maximum(_BLUNT**2 * here.chi2, 100.0 * here.floor), noise))

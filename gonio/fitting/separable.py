@@ -121,7 +121,7 @@ class Projected:
     scale
         (m, k): norm of the change of the readings and of their fit by one unit of each x, the unit of steps.
     floor
-        (m,): part of chi2 that is rounding of the readings and of the model.
+        (m,): what chi2 would be if only rounding of the readings, of the model and of x were left.
     exact
         Whether `hessian` holds second derivatives.
     """
@@ -196,7 +196,7 @@ def project(model: Separable, rows: Rows, x: FloatArray) -> Projected:
         -(np.swapaxes(rz, 1, 2) @ b[:, :, None])[:, :, 0],
         hessian,
         scale,
-        (10.0 * _EPS) ** 2 * size2,
+        (10.0 * _EPS) ** 2 * np.maximum(size2, np.max((scale * x) ** 2, axis=1, initial=0.0)),
         exact,
     )
     _fence(state)

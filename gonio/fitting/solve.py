@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.fitting.newton import BOLD, minimise
+from gonio.fitting.newton import minimise
 from gonio.fitting.separable import IndexArray, Projected, Rows, Separable, project
 
 FloatArray = NDArray[np.float64]
@@ -22,7 +22,9 @@ _BLOCK = 60_000  # readings worked on together: scratch arrays stay in the cache
 _GRID_BLOCK = 4_000_000  # numbers of a grid's sums held at once
 _ALIKE = 1e-10  # squared part of a column beside the others below which a start does not count it
 _ITERATIONS = 200
-_BOLDNESS = (1.0, 10.0, 0.1, 100.0)
+_BOLD = 10.0
+_BOLDNESS = np.array([1.0, 10.0, 0.1, 100.0])
+_SAME = 1e-8  # of chi2
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +44,7 @@ def refine(
     *,
     free: bool | Sequence[bool] | BoolArray = True,
     iterations: int = _ITERATIONS,
-    bold: float = BOLD,
+    bold: float | FloatArray = _BOLD,
 ) -> Solution:
     """Return the local optimum that each wavelength descends to from `begin`.
 
@@ -58,48 +60,53 @@ def refine(
     iterations
         Steps at most; a wavelength that needs more is not `converged`.
     bold
-        First trust region in lengths of x, for parameters without bounds.
+        First trust region in lengths of x, for parameters without bounds; one for all or (m,).
     """
     m, k = begin.shape
     may = np.broadcast_to(np.asarray(free, np.bool_), (m, k))
+    reach = np.broadcast_to(np.asarray(bold, np.float64), (m,))
     basic, chi2 = np.empty((m, len(model.linear) + k)), np.empty(m)
     converged = np.empty(m, np.bool_)
     for part in blocks(*y.shape):
         with np.errstate(all="ignore"):  # a trial step may leave the range of the model; it is taken back
             basic[part], chi2[part], converged[part] = _refine_block(
-                model, y[:, part], w[:, part], begin[part], may[part], iterations, bold
+                model, y[:, part], w[:, part], begin[part], may[part], iterations, reach[part]
             )
     return Solution(basic, chi2, converged)
 
 
-def refine_boldly(
-    model: Separable,
-    y: FloatArray,
-    w: FloatArray,
-    begin: FloatArray,
-    *,
-    iterations: int = 5000,
-) -> Solution:
+def refine_boldly(model: Separable, y: FloatArray, w: FloatArray, begin: FloatArray) -> Solution:
     """Return the best of the optima that more and less cautious descents reach, for starts that are far away.
 
     A first step that is too long leaves the basin (over a pole, into an exponential that has died out), one
-    that is too short follows every bend of a valley; no one length suits all problems.
+    that is too short follows every bend of a valley; no one length suits all problems, so each is tried.
+    Where none arrives they are given more time.
     """
-    best: Solution | None = None
-    for bold in _BOLDNESS:
-        found = refine(model, y, w, begin, iterations=iterations, bold=bold)
-        if best is None:
-            best = found
-            continue
-        ahead = found.chi2 < best.chi2 * (1.0 - 1e-9)
-        better = np.where(found.converged == best.converged, ahead, found.converged) | np.isnan(best.chi2)
-        best = Solution(
-            np.where(better[:, None], found.basic, best.basic),
-            np.where(better, found.chi2, best.chi2),
-            np.where(better, found.converged, best.converged),
-        )
-    assert best is not None
-    return best
+    found = _best_of(model, y, w, begin, 500)
+    rows = np.flatnonzero(~found.converged & np.isfinite(found.chi2))
+    if rows.size:
+        again = _best_of(model, y[:, rows], w[:, rows], begin[rows], 5000)
+        found.basic[rows], found.chi2[rows] = again.basic, again.chi2
+        found.converged[rows] = again.converged
+    return found
+
+
+def _best_of(model: Separable, y: FloatArray, w: FloatArray, begin: FloatArray, iterations: int) -> Solution:
+    m, tries = len(begin), _BOLDNESS.size
+    many = refine(
+        model,
+        np.tile(y, tries),
+        np.tile(w, tries),
+        np.tile(begin, (tries, 1)),
+        iterations=iterations,
+        bold=np.repeat(_BOLDNESS, m),
+    )
+    chi2, converged = many.chi2.reshape(tries, m), many.converged.reshape(tries, m)
+    rank = np.where(np.isnan(chi2), np.inf, chi2)
+    least = np.min(np.where(converged, rank, np.inf), axis=0)
+    good = np.where(np.isfinite(least), converged & (rank <= least * (1.0 + _SAME)), rank <= rank.min(axis=0))
+    pick = np.argmax(good, axis=0) * m + np.arange(m)  # of equal optima the first, the nearest as a rule
+    return Solution(many.basic[pick], many.chi2[pick], many.converged[pick])
 
 
 def blocks(n: int, m: int) -> list[slice]:
@@ -115,7 +122,7 @@ def _refine_block(
     begin: FloatArray,
     free: BoolArray,
     iterations: int,
-    bold: float,
+    bold: FloatArray,
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     rows = Rows.of(y, w)
     known = rows.known & np.all(np.isfinite(begin), axis=1)
