@@ -124,7 +124,7 @@ def bands_of(receiver: Receiver, theta_i_deg: FloatArray, theta_o_deg: FloatArra
         if receiver.beam.divergence_deg > 0.0:
             raise FitError(
                 f"the beam diverges by {receiver.beam.divergence_deg:g} deg, and only the published lobe and "
-                "Lambert are fitted with that; fit one of these, or give beam = False to take the light as a line"
+                "Lambert are fitted with that; fit one of these, or give beam = False to take it as a line"
             )
         return _rectangle(receiver.aperture, receiver.beam, theta_i, axis)
     if isinstance(receiver, InPlaneAverage):
