@@ -49,7 +49,7 @@ def test_readings_are_the_integral_of_the_dsf_over_the_aperture(
 ) -> None:
     """1e-9 of the largest reading at that shape, s and p, over the whole range of shape and index."""
     theta_i, theta_o = POSITIONS.T
-    shapes = points(kind, 4, 1)
+    shapes = points(kind, 3, 1)
     for is_s, polarization in ((True, "s"), (False, "p")):
         model = kind.of(aperture, theta_i, theta_o, np.full(theta_i.size, is_s))
         basic = np.concatenate([np.tile([0.3, 0.04][: len(kind.linear)], (len(shapes), 1)), shapes], axis=1)
