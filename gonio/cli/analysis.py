@@ -9,12 +9,12 @@ from pathlib import Path
 from gonio.cli.budget import BudgetRequest, with_budget
 from gonio.cli.fit_options import FitRequest
 from gonio.cli.progress import progress_bar, readable_duration
+from gonio.cli.side_by_side import apertures_text, instrument_text, models_text
 from gonio.cli.sphere import SphereRequest, bring_in, sphere_text
 from gonio.devices import FloatArray
 from gonio.errors import ConfigError, StoreError
-from gonio.fitting import FitResult, PolarizationChoice
+from gonio.fitting import FitResult
 from gonio.fitting import fit as fit_scan
-from gonio.fitting.compare import compare_apertures
 from gonio.store import Scan, load, read_spectrum
 
 
@@ -23,6 +23,7 @@ def fit(
     request: FitRequest,
     *,
     compare: bool,
+    models: bool = False,
     sphere: SphereRequest | None = None,
     budget: BudgetRequest | None = None,
 ) -> int:
@@ -31,7 +32,9 @@ def fit(
     if sphere is not None:
         bring_in(path, sphere)
     if compare:
-        _compare(scan, request)
+        print(apertures_text(scan, request, _columns(path, "simulated_truth")) + "\n")
+    if models:
+        print(models_text(scan, request) + "\n")
     start = time.perf_counter()
     result = fit_scan(scan, **request.arguments(scan))
     duration_s = time.perf_counter() - start
@@ -40,6 +43,9 @@ def fit(
         result, text = with_budget(scan, result, budget)
     result.save(path)
     print(fit_table(scan, result))
+    instrument = instrument_text(result)
+    if instrument:
+        print(f"\n{instrument}")
     against = sphere_text(scan, result)
     if against:
         print(f"\n{against}\n")
@@ -68,17 +74,6 @@ def _columns(path: Path, group: str) -> dict[str, FloatArray] | None:
         return read_spectrum(path, group)
     except StoreError:
         return None
-
-
-def _compare(scan: Scan, request: FitRequest) -> None:
-    if request.model != "published" or request.polarization == "shared_n2":
-        raise ConfigError(
-            "--compare shows what the paper's aperture models do to its own lobe; leave --model and "
-            "--polarization shared_n2 out"
-        )
-    polarization: PolarizationChoice = request.polarization  # type: ignore[assignment]
-    found = compare_apertures(scan, polarization=polarization, truth=_columns(scan.path, "simulated_truth"))
-    print(found.table() + "\n")
 
 
 def facade(scene_file: Path, output: Path, *, rel_tol: float, seed: int, threads: int | None) -> int:

@@ -78,6 +78,7 @@ def build_parser() -> argparse.ArgumentParser:
     fit.add_argument("scan", type=Path, metavar="FILE.h5")
     add_fit_options(fit)
     fit.add_argument("--compare", action="store_true", help="the four aperture models side by side")
+    fit.add_argument("--models", action="store_true", help="all scattering models side by side")
     add_budget_options(fit)
     add_sphere_options(fit)
 
@@ -205,6 +206,7 @@ def _run(options: argparse.Namespace) -> int:
             options.scan,
             fit_request(options),
             compare=options.compare,
+            models=options.models,
             sphere=sphere_request(options),
             budget=budget_request(options),
         )
