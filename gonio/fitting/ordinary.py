@@ -146,12 +146,19 @@ def least_squares(
             model = _Ordinary(weighted, by.fine, bottom, top)
             found = refine(model, none, ones, found.basic)
         value = found.basic[0]
-        residual, j = size * np.real(weighted(value)), size * by.fine(value)
+        residual, j = np.real(weighted(value)), by.fine(value)
         rss = float(residual @ residual)
         covariance = rss / (n - p) * inverse_gram(j)
-    return LeastSquares(
-        value, np.sqrt(np.diag(covariance)), covariance, rss, n - p, bool(found.converged[0]), residual, j
-    )
+        return LeastSquares(
+            value,
+            np.sqrt(np.diag(covariance)),
+            covariance,
+            rss * size * size,
+            n - p,
+            bool(found.converged[0]),
+            size * residual,
+            size * j,
+        )
 
 
 def nlparci(value: ArrayLike, residual: ArrayLike, jacobian: ArrayLike, alpha: float = 0.05) -> FloatArray:
@@ -198,13 +205,14 @@ def nlparci(value: ArrayLike, residual: ArrayLike, jacobian: ArrayLike, alpha: f
         raise FitError(
             "the Jacobian or a residual is not finite in a row that is used; drop it by a NaN residual"
         )
-    inverse = inverse_gram(j)
+    unit = float(np.max(np.abs(j))) or 1.0
+    inverse = inverse_gram(j / unit)
     if not np.all(np.isfinite(inverse)):
         flat = np.flatnonzero(~np.any(j != 0.0, axis=0))
         why = f"no residual depends on parameter {int(flat[0]) + 1}" if flat.size else _dependence(j)
         raise FitError(f"the Jacobian has a rank below {p}: {why}; fix or leave out a parameter")
     largest = float(np.max(np.abs(r))) or 1.0
-    s = largest * np.sqrt(np.sum((r / largest) ** 2) / v)
+    s = largest / unit * np.sqrt(np.sum((r / largest) ** 2) / v)
     half = float(special.stdtrit(v, 1.0 - 0.5 * alpha)) * s * np.sqrt(np.diag(inverse))
     return np.stack([beta - half, beta + half], axis=1)
 

@@ -30,6 +30,7 @@ FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
 
 _LOST = 1e-12  # a column that keeps less than this of its norm beside the others is one of them, and rounding
+_BEND = 1e-12  # of the second derivative: a squared slope below this is zero beside it
 _TWICE = 1e-2  # of its square: a column that loses more to the others is orthogonalised again
 _EPS = float(np.finfo(float).eps)
 
@@ -187,7 +188,11 @@ def project(model: Separable, rows: Rows, x: FloatArray) -> Projected:
     hessian = np.swapaxes(factor, 1, 2) @ factor
     if exact:
         mixed = np.swapaxes(u - v, 1, 2) @ v
-        hessian += mixed + np.swapaxes(mixed, 1, 2) - _curvature(at, per, weighted, k)
+        curvature = _curvature(at, per, weighted, k)
+        hessian += mixed + np.swapaxes(mixed, 1, 2) - curvature
+        # at a saddle the readings may depend on x in second order alone
+        bend = np.abs(np.diagonal(curvature, axis1=1, axis2=2))
+        scale = np.where(scale**2 > _BEND * bend, scale, np.sqrt(bend))
     state = Projected(
         c,
         _inner(residual, residual),

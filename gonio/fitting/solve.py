@@ -19,7 +19,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 _BLOCK = 60_000  # readings worked on together: scratch arrays stay in the cache
-_GRID_BLOCK = 4_000_000  # numbers of a grid's sums held at once
+_GRID_BLOCK = 1_000_000  # numbers of a grid's sums held at once
 _ALIKE = 1e-10  # squared part of a column beside the others below which a start does not count it
 _ITERATIONS = 200
 _BOLD = 10.0
@@ -150,7 +150,7 @@ def grid_start(model: Separable, y: FloatArray, w: FloatArray, grid: FloatArray)
     """
     best = np.empty((y.shape[1], grid.shape[1]))
     columns = [column.T for column in model.columns(grid).value]  # (G, n) or (1, n)
-    width = max(1, _GRID_BLOCK // (max(1, len(columns)) ** 2 * max(1, len(grid))))
+    width = max(1, _GRID_BLOCK // max(4 * len(y), len(columns) ** 2 * len(grid), 1))
     for at in range(0, len(best), width):
         part = slice(at, at + width)
         gain = _explained(columns, len(model.linear), Rows.of(y[:, part], w[:, part]), len(grid))

@@ -71,15 +71,18 @@ def step_within(
         hessian = here.hessian * unit[:, :, None] * unit[:, None, :]
         e, axes = np.linalg.eigh(np.eye(k) + np.swapaxes(basis, 1, 2) @ (hessian - matrix) @ basis)
         convex, downward = e[:, 0] > _BENT, e[:, 0] < -_BENT
+        blunt = np.flatnonzero(~sharp)
+        if blunt.size:  # the readings do not tell some direction in first order; the second may
+            downward[blunt] = np.linalg.eigvalsh(hessian[blunt])[:, 0] < -_BENT
         # where Gauss and Newton see an optimum that is a saddle, only the Hessian knows the way
         near = decrement <= _NEAR * here.chi2
-        use = sharp & ((newton & near) | (downward & (decrement <= _SEEN * here.chi2)))
+        use = (sharp & newton & near) | (downward & (decrement <= _SEEN * here.chi2))
         z = np.einsum("mab,ma->mb", axes, b)
         divided = np.where(convex[:, None], z / np.where(convex[:, None], e, 1.0), z)
         s = np.where(use[:, None], np.einsum("mab,mbc,mc->ma", inverse, axes, divided), s)
         decrement = np.where(sharp, np.sum(z * divided, axis=1), decrement)
         matrix = np.where(use[:, None, None], hessian, matrix)
-        long = (use & ~convex) | (np.sum(s**2, axis=1) > radius**2)
+        long = (use & ~(convex & sharp)) | (np.sum(s**2, axis=1) > radius**2)
     rows = np.flatnonzero(long)
     if rows.size:
         s[rows] = _within(matrix[rows] + ridge[rows], (here.gradient * unit)[rows], radius[rows])
