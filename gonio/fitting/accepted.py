@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gonio.errors import FitError
 from gonio.fitting.columns import BoolArray, FitModel, FloatArray, readings
 from gonio.fitting.covariance import random_and_common
 from gonio.fitting.limits import is_lobe
@@ -88,7 +89,7 @@ def profile(
     Raises
     ------
     FitError
-        An unknown quantity.
+        An unknown quantity, or a fit with a robust loss, whose optimum is not that of chi2.
 
     Notes
     -----
@@ -96,9 +97,13 @@ def profile(
     that readings share (baseline, dark, shared n2, budget): on each side the square root of the sum of the
     squares of the profile's half width and t times that uncertainty, for alpha on its logarithm.  Where no
     lobe is seen the fit is linear, and the interval of k_d is its own; there is no curve, nor is there one of
-    a parameter that was given.  With a robust loss the profile is that of the squares at the weights without
-    the robust factor.
+    a parameter that was given.
     """
+    if fit.loss != "squares":
+        raise FitError(
+            f"loss = '{fit.loss}' has no profile of chi2, for its optimum is another; use 'wald', or fit "
+            "with loss = 'squares'"
+        )
     if wavelength_nm is not None:
         wanted = np.atleast_1d(np.asarray(wavelength_nm, np.float64))
         fit = fit.only(np.isin(fit.wavelength_nm, wanted))
@@ -179,7 +184,9 @@ def _defined(fit: FitResult, quantity: Quantity) -> BoolArray:
         value = fit.basic[:, names.index(name)]
     else:
         value = fit.basic[:, 0] if name == "k_d" else np.sum(fit.basic, axis=1)
-    return np.asarray(np.isfinite(value) & np.isfinite(fit.basic[:, 0]) & np.isfinite(fit.quantile))
+    known = np.isfinite(value) & np.isfinite(fit.basic[:, 0]) & np.isfinite(fit.quantile)
+    has_lobe = any(is_lobe(which) for which in kind.linear)
+    return np.asarray(known & (has_lobe | _is_diffuse(name)))
 
 
 def _without_lobe(fit: FitResult) -> BoolArray:

@@ -112,7 +112,7 @@ def bootstrap(
     Raises
     ------
     FitError
-        Too few replicas.
+        Too few replicas, or a fit with a robust loss: replicas are fitted by squares.
 
     Notes
     -----
@@ -123,6 +123,11 @@ def bootstrap(
     if replicas < FEWEST_REPLICAS:
         raise FitError(
             f"replicas = {replicas} are too few for a 95 % interval; ask for at least {FEWEST_REPLICAS}"
+        )
+    if fit.loss != "squares":
+        raise FitError(
+            f"replicas of a fit with loss = '{fit.loss}' would be fitted by squares, and scatter less; "
+            "fit with loss = 'squares'"
         )
     if wavelength_nm is not None:
         fit = fit.only(np.isin(fit.wavelength_nm, np.atleast_1d(np.asarray(wavelength_nm, np.float64))))

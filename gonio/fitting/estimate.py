@@ -81,8 +81,8 @@ def fit(
     intervals
         ``"wald"``: 95 % by Student's t, alpha on its logarithm, common-mode uncertainties included,
         open-ended where the data give no bound.  ``"profile"``: by profile likelihood everywhere, which a
-        long tail needs and which takes some 10 ms per wavelength (`gonio.fitting.accepted`).  ``"nlparci"``: exactly MATLAB's nlparci, which knows none of
-        this, on unweighted residuals.
+        long tail needs and which takes some 10 ms per wavelength (`gonio.fitting.accepted`).
+        ``"nlparci"``: exactly MATLAB's nlparci, which knows none of this, on unweighted residuals.
     detector_gain_u, detector_offset_u
         Standard uncertainties of each detector's gain (relative) and zero offset (in r), one for all or one
         each: priors of a gain and an offset that are fitted with the rest, ``r = g model + o``.  Zero: exact.

@@ -71,7 +71,7 @@ class Quantity:
             for b in range(a):
                 moves += [s * np.eye(k)[a] + t * np.eye(k)[b] for s in (1.0, -1.0) for t in (1.0, -1.0)]
         points = x + np.stack(moves)[:, None, :] * step
-        at = self.factors(points.reshape(-1, k)).reshape(len(moves), m, -1)
+        at = self.factors(points.reshape(len(moves) * m, k)).reshape(len(moves), m, -1)
         first, second = np.zeros((*at.shape[1:], k)), np.zeros((*at.shape[1:], k, k))
         for a in range(k):
             up, down = at[1 + 2 * a], at[2 + 2 * a]

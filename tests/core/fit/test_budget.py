@@ -68,7 +68,7 @@ def test_quadrature_of_a_displaced_surface_is_a_bench_seen_from_elsewhere(apertu
     moved = by_quadrature(at, replace(nominal, offset_mm=2.0))
     nearer = plane_quadrature(at, *TRUTH, Aperture(26.0, 18.0, aperture.distance_mm - 2.0))
     np.testing.assert_allclose(moved, nearer, rtol=1e-9)
-    # a tilt of 1 deg turns the lobe out of the plane by 2 deg: to a square aperture it is one 2 deg off in plane
+    # a tilt of 1 deg turns the lobe out of the plane by 2 deg: to a square aperture as if in plane
     square = replace(nominal, height_mm=26.0)
     tilted = by_quadrature(at, replace(square, tilt_deg=1.0), (0.0, 1.0, 90.0, 1.5))
     turned = plane_quadrature(

@@ -169,5 +169,12 @@ def test_without_a_lobe_only_the_diffuse_part_has_an_interval(
     assert profile(fit, "alpha").text(0) == "alpha is undefined"
     assert np.all(np.isnan(profile(fit, "k_s").lower))
     np.testing.assert_array_equal(profile(fit, "k_d").lower, fit.lower[:, 0])
+    lambert, _ = fitted(positions, exact_readings(0.5, 0.0, 90.0, 1.5), aperture, noise=1.0, model="lambert")
+    k_d = profile(lambert, "k_g")
+    np.testing.assert_allclose(k_d.lower, lambert.lower[:, 0], rtol=1e-6)
+    assert profile(lambert, "k_s").text(0) == "k_s is undefined"
+    robust, _ = fitted(positions, exact_readings(0.72, 1.0, 90.0, 1.5), aperture, noise=1.0, loss="huber")
+    with pytest.raises(FitError, match="loss = 'huber' has no profile"):
+        profile(robust, "alpha")
     with pytest.raises(FitError, match="'gloss' is no quantity of model 'published lobe'; use one of rho_d"):
         profile(fit, "gloss")
