@@ -1,4 +1,4 @@
-"""`gonio fit`'s options on a scan of the simulated bench's own readings, from the command line to the file."""
+"""`gonio fit`'s options, from the command line to the arguments of `gonio.fit`."""
 
 from __future__ import annotations
 
