@@ -99,7 +99,7 @@ def test_readings_with_a_beam_are_the_mean_over_its_spot(kind: type[FitModel], b
 
 
 def test_a_narrow_lobe_enters_over_the_spot() -> None:
-    """alpha 3e5, 0.1 deg wide, at the rim: the part of a 6 mm spot whose mirror ray enters is counted."""
+    """alpha 1e6, 0.06 deg wide, at the rim: the part of a 6 mm spot whose mirror ray enters is counted."""
     aperture, beam = APERTURES[0], IncidentBeam(6.0, 0.0)
     theta_i = np.full(41, 30.0)
     theta_o = 30.0 + np.linspace(-10.0, 10.0, 41)
