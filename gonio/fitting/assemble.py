@@ -14,9 +14,10 @@ from gonio.fitting.covariance import CommonMode, random_and_common, without_comm
 from gonio.fitting.dispersion import Dispersion
 from gonio.fitting.ends import Ends, open_ends
 from gonio.fitting.limits import diffuse_only, is_lobe, lobe_is_seen
-from gonio.fitting.notes import write_notes
+from gonio.fitting.notes import write_notes, write_remarks
 from gonio.fitting.result import CONFIDENCE, FitResult, IntervalMethod, PolarizationChoice
 from gonio.fitting.robust import Loss, robust_scale, variance_factor
+from gonio.fitting.selection import combined_runs_probability, runs_probability
 from gonio.fitting.shared import Detectors, Shared, fit_shared
 from gonio.fitting.solve import Solution
 from gonio.fitting.weighing import Used, Weighed
@@ -65,6 +66,8 @@ class Findings:
     converged: BoolArray
     lobe: BoolArray  # a lobe is seen
     untold: BoolArray  # one incidence and polarization only
+    runs: FloatArray  # (k,) probability by chance that the residuals change their sign so seldom
+    runs_together: float  # that of all wavelengths
 
 
 def assemble(
@@ -92,7 +95,7 @@ def assemble(
     found, shared = _findings(
         model, kind, weighed, used, free, untold, common, dispersion, detectors, setting
     )
-    notes = write_notes(found, setting.position)
+    notes = write_notes(found, setting.position, np.where(used.use, used.y, np.nan))
     m = len(setting.wavelength_nm)
 
     def spread(values: FloatArray, fill: float = np.nan, axis: int = 0) -> FloatArray:
@@ -119,7 +122,7 @@ def assemble(
         basic_covariance=spread(found.basic_covariance),
         modes=spread(found.modes, axis=1),
         mode_names=() if shared is None else shared.mode_names,
-        remarks=() if shared is None else shared.remarks,
+        remarks=(*(() if shared is None else shared.remarks), *write_remarks(found)),
         shared_names=() if shared is None else shared.names,
         shared_value=np.zeros(0) if shared is None else shared.value,
         shared_covariance=np.zeros((0, 0)) if shared is None else shared.covariance,
@@ -163,7 +166,10 @@ def _findings(
     linear, p = len(kind.linear), basic.shape[1]
     count = used.count[used.columns]
     dof = (count - linear - np.sum(free, axis=1)).astype(np.float64)
-    lobe, basic, dof = _without_lobe(model, y, w, basic, solution.chi2, dof, count)
+    variance = solution.chi2 / dof
+    if setting.loss != "squares":  # whose chi2 may be that of outliers
+        variance = robust_scale(np.sqrt(weighed.w) * (y - readings(model, basic)), used.use, p) ** 2
+    lobe, basic, dof = _without_lobe(model, y, w, basic, solution.chi2, variance, dof, count)
     held = np.zeros(basic.shape, bool)
     held[:, linear:] = ~free
     held[~lobe] |= [not name.startswith("rho_d") for name in (*kind.linear, *kind.shape)]
@@ -190,15 +196,16 @@ def _findings(
             dof = dof + (lobe & free[:, -1])
     residual = np.where(used.use, y - readings(model, basic), 0.0)
     chi2 = np.sum(w * residual**2, axis=0)
-    scale, w_cov = chi2 / dof, w
+    scale, w_cov, scatter = chi2 / dof, w, residual
+    if common is not None:  # without what positions share
+        scatter, taken = without_common(model, basic, w, residual, common)
     if setting.loss != "squares":
         u = np.sqrt(weighed.w) * residual
         s = robust_scale(u, used.use, p)
         u = u / np.where(s > 0.0, s, 1.0)
         scale, w_cov = s**2 * variance_factor(u, used.use, setting.loss, p), weighed.w
-    elif common is not None:  # the scatter alone, without what positions share
-        clean, taken = without_common(model, basic, w, residual, common)
-        scale = np.sum(w * clean**2, axis=0) / (dof - taken)
+    elif common is not None:
+        scale = np.sum(w * scatter**2, axis=0) / (dof - taken)
     t = np.asarray(special.stdtrit(dof, 0.5 + 0.5 * CONFIDENCE), np.float64)
 
     unit, from_common = random_and_common(model, basic, w_cov, held, common)
@@ -236,11 +243,13 @@ def _findings(
     lower, upper = value - half, value + half
     if setting.intervals == "wald":
         open_ends(kind, basic, covariance, ends, t, value, se, lower, upper, published)
+    where = setting.theta_i_deg, setting.theta_o_deg, setting.polarization_of == "s"
     part = Findings(
         kind.parameters, value, se, lower, upper, published, basic_nan, covariance, modes, chi2, dof,
         np.where(used.use, residual, np.nan),
         np.where(used.use, 1.0 / np.sqrt(np.where(used.use, w_cov, 1.0)), np.nan),
         scale, solution.converged, lobe, untold,
+        runs_probability(scatter, *where), combined_runs_probability(scatter, *where),
     )  # fmt: skip
     return part, shared
 
@@ -251,6 +260,7 @@ def _without_lobe(
     w: FloatArray,
     basic: FloatArray,
     chi2: FloatArray,
+    variance: FloatArray,
     dof: FloatArray,
     count: NDArray[np.int64],
 ) -> tuple[BoolArray, FloatArray, FloatArray]:
@@ -261,7 +271,7 @@ def _without_lobe(
     plain = diffuse_only(model, y, w, basic)
     diffuse_count = len(model.linear) - len(lobes)
     plain_chi2 = np.sum(w * (y - readings(model, plain)) ** 2, axis=0)
-    lobe = lobe_is_seen(y, w, plain_chi2, chi2, dof, basic.shape[1] - diffuse_count)
+    lobe = lobe_is_seen(y, w, plain_chi2, chi2, variance, dof, basic.shape[1] - diffuse_count)
     return (
         lobe,
         np.where(lobe[:, None], basic, plain),

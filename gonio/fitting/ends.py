@@ -85,7 +85,7 @@ def open_ends(
         rows = np.flatnonzero(~np.isnan(low))
         if name.startswith("log_"):
             column = kind.parameters.index(name.removeprefix("log_"))
-            with np.errstate(invalid="ignore"):
+            with np.errstate(invalid="ignore", over="ignore"):  # no bound that can be written
                 factor = np.exp(quantile * np.sqrt(basic_covariance[:, at, at]))
             lower[:, column], upper[:, column] = value[:, column] / factor, value[:, column] * factor
             lower[rows, column], upper[rows, column] = np.exp(low[rows]), np.exp(high[rows])

@@ -176,7 +176,7 @@ def fit_readings(
     )
     is_s = which[chosen] == "s"
     bound = kind.of(receiver_of(instrument, beam, aperture), theta_i[chosen], theta_o[chosen], is_s)
-    begin = bound.start(used.y, used.first_weight)
+    begin = bound.start(used.y, used.start_weight(loss))
     form, begin, free, untold = _index(
         kind, n2, begin, wavelength, used.columns,
         _one_group(theta_i[chosen], is_s, used.use, separate=polarization == "shared_n2"),

@@ -36,14 +36,21 @@ def diffuse_only(model: FitModel, y: FloatArray, w: FloatArray, basic: FloatArra
 
 
 def lobe_is_seen(
-    y: FloatArray, w: FloatArray, diffuse_chi2: FloatArray, chi2: FloatArray, dof: FloatArray, count: int
+    y: FloatArray,
+    w: FloatArray,
+    diffuse_chi2: FloatArray,
+    chi2: FloatArray,
+    variance: FloatArray,
+    dof: FloatArray,
+    count: int,
 ) -> BoolArray:
     """Return where the lobe improves on a purely diffuse fit by more than noise can, (m,).
 
-    An F test of the lobe's `count` parameters at 1e-4.  Without a lobe, alpha and n2 are undefined and the
-    test's distribution is not exactly F, since the shape is searched for: hence the low level.
+    An F test of the lobe's `count` parameters at 1e-4, against the `variance` (m,) of weighted residuals.
+    Without a lobe, alpha and n2 are undefined and the distribution is not exactly F, since the shape is
+    searched for: hence the low level.
     """
-    needed = count * special.fdtri(float(count), dof, 1.0 - _NO_LOBE_P) * chi2 / dof
+    needed = count * special.fdtri(float(count), dof, 1.0 - _NO_LOBE_P) * variance
     # rounding: a noiseless Lambertian surface leaves chi2 of the order of the last digit
     rounding = 1e-26 * np.sum(w * y * y, axis=0)
     return np.asarray(diffuse_chi2 - chi2 > needed + rounding)

@@ -12,26 +12,45 @@ if TYPE_CHECKING:
 
 _OUTLIER = 6.0  # standard deviations; among a million Gaussian readings none
 _INSEPARABLE = 0.95
+_SYSTEMATIC = 1e-6  # probability by chance, below which residuals of one sign in a row are the model's fault
+_ALIKE = 3  # readings that share the largest value to the last digits
 _BY_CHANCE = 4.0  # standard errors; so far off is no chance, even at one wavelength of many
 
 
-def write_notes(found: Findings, position: NDArray[np.intp]) -> list[str]:
-    """Return one text per fitted wavelength, parts joined by "; "; `position` (n,) numbers the positions."""
+def write_notes(found: Findings, position: NDArray[np.intp], y: NDArray[np.float64]) -> list[str]:
+    """Return one text per fitted wavelength, parts joined by "; ".
+
+    `position` (n,) numbers the positions, `y` (n, k) are the readings, NaN where unused.
+    """
     scale = np.sqrt(found.scale)
     with np.errstate(invalid="ignore", divide="ignore"):
         deviation = np.abs(found.residual) / (found.sigma * scale)
     rounding = np.nanmax(np.abs(found.residual), axis=0) < 1e-11 * np.abs(found.basic[:, 0])
     return [
-        "; ".join(_of(found, k, position, deviation[:, k], bool(rounding[k])))
+        "; ".join(
+            _of(found, k, position, deviation[:, k], bool(rounding[k]))
+            + _pattern_notes(found, k, y[:, k], bool(rounding[k]))
+        )
         for k in range(len(found.value))
     ]
+
+
+def write_remarks(found: Findings) -> tuple[str, ...]:
+    """Return what is seen at all wavelengths together, but not at most of them alone."""
+    alone = np.mean(np.nan_to_num(found.runs, nan=1.0) < _SYSTEMATIC)
+    if alone > 0.5 or len(found.runs) < 2 or not found.runs_together < _SYSTEMATIC:
+        return ()
+    return (
+        "over all wavelengths the residuals keep their sign along the sweeps: the lobe has another shape, an "
+        "angle is off, or readings drift, by less than one wavelength shows; the intervals do not include it",
+    )
 
 
 def _of(
     found: Findings, k: int, position: NDArray[np.intp], deviation: NDArray[np.float64], rounding: bool
 ) -> list[str]:
     parts: list[str] = []
-    if not found.converged[k]:
+    if not found.converged[k] and found.lobe[k]:  # without a lobe the fit is linear
         parts.append("the search did not converge")
     if not found.lobe[k]:
         parts.append("no lobe is seen above the noise: fitted as Lambertian, alpha and n2 are undefined")
@@ -60,6 +79,20 @@ def _of(
         worst = outliers[np.argsort(-deviation[outliers])][:3]
         listed = ", ".join(f"{position[i]} ({deviation[i]:.0f} sd)" for i in worst)
         parts.append(f"{outliers.size} outlier(s) beyond {_OUTLIER:.0f} sd, at position {listed}")
+    return parts
+
+
+def _pattern_notes(found: Findings, k: int, y: NDArray[np.float64], rounding: bool) -> list[str]:
+    parts: list[str] = []
+    largest = float(np.nanmax(y))
+    alike = int(np.sum(y >= largest - 1e-9 * abs(largest)))
+    if alike >= _ALIKE:
+        parts.append(f"{alike} readings share the largest value {largest:.4g}: saturated, or no measurement")
+    if found.runs[k] < _SYSTEMATIC and not rounding:
+        parts.append(
+            "the residuals keep their sign along the sweeps: the model does not have this lobe's shape, an "
+            "angle is off, or readings drift, which the intervals do not include"
+        )
     return parts
 
 

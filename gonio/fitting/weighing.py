@@ -63,6 +63,18 @@ class Used:
         variance = np.where(weigh & use, r_sd[:, columns], 1.0) ** 2
         return cls(columns, count, np.where(use, r[:, columns], 0.0), use, use / variance, weights)
 
+    def start_weight(self, loss: Loss) -> FloatArray:
+        """Return the weights of the first search, (n, k).
+
+        With a robust loss no reading counts for more than a typical one does, however large it is: from an
+        optimum that one wild reading has made, weights by residuals do not find the way back.
+        """
+        if loss == "squares":
+            return self.first_weight
+        size = np.sqrt(self.first_weight) * np.abs(self.y)
+        typical = np.nanmedian(np.where(self.use, size, np.nan), axis=0)
+        return self.first_weight / (1.0 + size / np.where(typical > 0.0, typical, np.inf)) ** 2
+
 
 @dataclass(frozen=True, slots=True)
 class Weighed:
@@ -84,7 +96,7 @@ def solve_weighed(
 ) -> Weighed:
     """Return the optimum with final weights; `begin` and `free` are of the shape parameters, (k, shape)."""
     w, factor = used.first_weight, np.ones_like(used.y)
-    solution = refine(model, used.y, w, begin, free=free)
+    solution = refine(model, used.y, used.start_weight(loss), begin, free=free)
     count = len(model.linear)
     if loss != "squares":  # whose weights are not known yet: Huber's loss forgets no reading altogether
         for _ in range(_ROUNDS):
