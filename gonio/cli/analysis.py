@@ -9,7 +9,7 @@ from pathlib import Path
 from gonio.cli.budget import BudgetRequest, with_budget
 from gonio.cli.fit_options import FitRequest
 from gonio.cli.progress import progress_bar, readable_duration
-from gonio.cli.side_by_side import apertures_text, instrument_text, models_text
+from gonio.cli.side_by_side import apertures_text, identifiability_text, instrument_text, models_text
 from gonio.cli.sphere import SphereRequest, bring_in, sphere_text
 from gonio.devices import FloatArray
 from gonio.errors import ConfigError, StoreError
@@ -43,9 +43,9 @@ def fit(
         result, text = with_budget(scan, result, budget)
     result.save(path)
     print(fit_table(scan, result))
-    instrument = instrument_text(result)
-    if instrument:
-        print(f"\n{instrument}")
+    for said in (identifiability_text(result), instrument_text(result)):
+        if said:
+            print(f"\n{said}")
     against = sphere_text(scan, result)
     if against:
         print(f"\n{against}\n")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ from gonio.aperture import IncidentBeam, InstrumentFunction
 from gonio.aperture.leaving_out import leaving_out
 from gonio.errors import ConfigError
 from gonio.fitting.compare import compare_apertures
+from gonio.fitting.identifiability import identifiability
 from gonio.fitting.model_comparison import compare_models
 
 if TYPE_CHECKING:
@@ -18,6 +20,8 @@ if TYPE_CHECKING:
     from gonio.devices import FloatArray
     from gonio.fitting import FitResult, PolarizationChoice
     from gonio.store import Scan
+
+_WIDTH = 105
 
 
 def apertures_text(scan: Scan, request: FitRequest, truth: Mapping[str, FloatArray] | None) -> str:
@@ -67,3 +71,14 @@ def instrument_text(result: FitResult) -> str:
             "  the beam's size is not known: it is taken as a line of light; state [beam] in the rig file"
         )
     return "\n".join(lines)
+
+
+def identifiability_text(result: FitResult) -> str:
+    """Return what the data tell least, at the wavelength where parameters are hardest to tell apart."""
+    found = identifiability(result)
+    told = np.array([bool(text) for text in found.text]) & np.isfinite(found.condition)
+    if not np.any(told):
+        return ""
+    k = int(np.argmax(np.where(told, found.condition, -1.0)))
+    sentence = f"identifiability, worst at {result.wavelength_nm[k]:g} nm: {found.text[k]}"
+    return "\n".join(textwrap.wrap(sentence, _WIDTH, subsequent_indent="  "))

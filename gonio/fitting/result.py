@@ -18,8 +18,10 @@ from gonio.fitting.kinds import coefficient_slopes, coefficients, model_named
 from gonio.fitting.limits import is_lobe
 from gonio.fitting.robust import Loss
 from gonio.overlap import home
+from gonio.spectral import Weight
 
 if TYPE_CHECKING:
+    from gonio.fitting.bands import BandAverage
     from gonio.sphere import Sphere, SphereComparison
 
 FloatArray = NDArray[np.float64]
@@ -254,6 +256,17 @@ class FitResult:
         return Hemispherical(
             theta_i_deg, coefficient(0), coefficient(1), coefficient(0, 1), coefficient(2), coefficient(0, 2)
         )
+
+    def band_average(
+        self, low_nm: float, high_nm: float, *, weight: Weight = "am15g", theta_i_deg: float = 8.0
+    ) -> BandAverage:
+        """Return k_d, k_s and k_g averaged over a band; see `gonio.fitting.bands.band_average`.
+
+        `weight` is ``"am15g"`` (solar), ``"photopic"``, ``"flat"``, or a function of the wavelength in nm.
+        """
+        from gonio.fitting.bands import band_average
+
+        return band_average(self, low_nm, high_nm, weight=weight, theta_i_deg=theta_i_deg)
 
     def _delta(self, gradient: FloatArray) -> FloatArray:
         """Return the standard uncertainty of a function of `basic` with that gradient, (m, p)."""

@@ -130,3 +130,12 @@ def test_material_without_a_lobe_is_lambertian(
     single = fit_readings(*(x[one] for x in at), product, instrument=aperture, wavelength_nm=[500.0])
     with pytest.raises(GonioError, match="rho_s and n2 are undetermined"):
         Material.from_fit(single)
+
+
+def test_band_average_of_a_stored_fit_is_that_of_the_fit(fit: FitResult, scan_file: Path) -> None:
+    fit.save(scan_file)
+    flat = load_fit(scan_file).band_average(400.0, 600.0, weight="flat")
+    use = (fit.wavelength_nm >= 400.0) & (fit.wavelength_nm <= 600.0)
+    at, k = fit.wavelength_nm[use], fit.hemispherical(8.0).k_d.value[use]
+    assert float(flat.k_d.value) == pytest.approx(np.trapezoid(k, at) / 200.0, rel=1e-12)
+    assert flat.k_d.u < float(np.max(fit.se[use, 0]))
