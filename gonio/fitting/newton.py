@@ -27,9 +27,12 @@ BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.intp]
 Evaluate = Callable[[FloatArray, IndexArray], Projected]
 """State of some problems, by their numbers, at x."""
+Settle = Callable[[FloatArray, IndexArray], tuple[FloatArray, FloatArray]]
+"""Linear coefficients and half of chi2 alone."""
 
 _EPS = float(np.finfo(float).eps)
 _OFFSET = 1e-10  # of the root of chi2, what a converged problem may still win
+_LANDING = 1e-5  # the same, from where a whole Newton step wins all that can be seen
 _BLUNT = 1e-6  # the same where rounding stops the descent
 _SLIGHT = 1e-12  # of chi2: a change this small cannot be told from rounding
 _SHARE = 0.1  # of a bounded range in one step
@@ -40,6 +43,7 @@ _PATIENCE = 100  # steps in which a problem must come closer
 
 def minimise(
     evaluate: Evaluate,
+    settle: Settle,
     x: FloatArray,
     low: FloatArray,
     high: FloatArray,
@@ -57,7 +61,7 @@ def minimise(
     state = evaluate(x, np.arange(len(x)))
     if not x.shape[1]:  # everything is linear
         return x, state, np.isfinite(state.chi2)
-    descent = _Descent(evaluate, x, state, low, high, free, bold)
+    descent = _Descent(evaluate, settle, x, state, low, high, free, bold)
     for count in range(iterations):
         todo = np.flatnonzero(~descent.done)
         if not todo.size:
@@ -74,6 +78,7 @@ class _Descent:
     def __init__(
         self,
         evaluate: Evaluate,
+        settle: Settle,
         x: FloatArray,
         state: Projected,
         low: FloatArray,
@@ -82,7 +87,7 @@ class _Descent:
         bold: FloatArray,
     ) -> None:
         m = len(x)
-        self.evaluate, self.x, self.state = evaluate, x, state
+        self.evaluate, self.settle, self.x, self.state = evaluate, settle, x, state
         self.low, self.high, self.free = low, high, free
         width = np.where(np.isfinite(high - low), high - low, np.inf)
         self.longest = _SHARE * width
@@ -113,6 +118,9 @@ class _Descent:
         noise = np.maximum(_SLIGHT * here.chi2, np.maximum(here.floor, np.sqrt(here.chi2 * here.floor)))
         still = np.all(np.abs(trial - x) <= 2.0 * _EPS * np.abs(x), axis=1)
         ended = self._ended(todo, here, step, still, noise, faded=np.any(~held & (here.scale == 0.0), axis=1))
+        whole = step.exact & step.whole & (cut == 1.0) & np.all(trial == x + step.s, axis=1)
+        landing = np.flatnonzero(~ended & whole & (step.decrement <= _LANDING**2 * here.chi2))
+        ended[landing] = self._land(todo[landing], trial[landing], here.chi2[landing] + 10.0 * noise[landing])
         go = np.flatnonzero(~ended)
         if go.size:
             self._try(todo[go], here.of(go), trial[go], step.exact[go], noise[go])
@@ -147,6 +155,21 @@ class _Descent:
         self.converged[todo[ended]] = (there | blunt)[ended]
         self.done[todo[ended]] = True
         return np.asarray(ended)
+
+    def _land(self, rows: IndexArray, trial: FloatArray, most: FloatArray) -> BoolArray:
+        """Take the last step without derivatives; its error is of second order.  Return who has landed."""
+        if not rows.size:
+            return np.zeros(0, np.bool_)
+        coefficients, chi2 = self.settle(trial, rows)
+        good = chi2 <= most
+        pick = rows[good]
+        self.x[pick], self.state.coefficients[pick], self.state.chi2[pick] = (
+            trial[good],
+            coefficients[good],
+            chi2[good],
+        )
+        self.converged[pick] = self.done[pick] = True
+        return good
 
     def _try(
         self, rows: IndexArray, here: Projected, trial: FloatArray, exact: BoolArray, noise: FloatArray

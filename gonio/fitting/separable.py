@@ -151,19 +151,44 @@ class Projected:
 _ARRAYS = ("coefficients", "chi2", "factor", "right", "gradient", "hessian", "scale", "floor")
 
 
+def settle(model: Separable, rows: Rows, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the linear coefficients (m, L) and half of chi2 (m,) at x, inf where there is no number."""
+    best = _eliminate(model.columns(x), rows, len(model.linear))
+    chi2 = _inner(best.residual, best.residual)
+    lost = ~(np.isfinite(chi2) & np.all(np.isfinite(best.c), axis=1))
+    best.c[lost], chi2[lost] = 0.0, np.inf
+    return best.c, chi2
+
+
+@dataclass(frozen=True, slots=True)
+class _Eliminated:
+    q: list[FloatArray]
+    r: FloatArray
+    residual: FloatArray
+    c: FloatArray
+    size2: FloatArray  # of the readings, and of what the column without a coefficient leaves of them
+
+
+def _eliminate(at: Columns, rows: Rows, count: int) -> _Eliminated:
+    root, target = rows.root, rows.target
+    q, r = _extend([], [root * column for column in at.value[:count]], target.shape[1])
+    size2 = _inner(target, target)
+    rest = target.copy()
+    if len(at.value) > count:
+        rest -= root * at.value[count] / rows.size
+        size2 += _inner(rest, rest)
+    residual, z = _project_out(q, rest)
+    return _Eliminated(q, r, residual, _solve_upper(r, z), size2)
+
+
 def project(model: Separable, rows: Rows, x: FloatArray) -> Projected:
     """Return half of chi2 with its derivatives at x, (m, k)."""
     count, (m, k) = len(model.linear), x.shape
     at = model.columns(x, 2)
     exact = bool(at.second) or k == 0
-    root, target = rows.root, rows.target
-    q, r = _extend([], [root * column for column in at.value[:count]], m)
-    fixed = len(at.value) > count
-    rest = target - root * at.value[count] / rows.size if fixed else target.copy()
-    size2 = _inner(target, target) + (_inner(rest, rest) if fixed else 0.0)
-    residual, z = _project_out(q, rest)
-    c = _solve_upper(r, z)
-    per = [c[:, j] for j in range(count)] + ([1.0 / rows.size] if fixed else [])
+    best = _eliminate(at, rows, count)
+    root, residual, c = rows.root, best.residual, best.c
+    per = [c[:, j] for j in range(count)] + [1.0 / rows.size] * (len(at.value) - count)
     weighted = root * residual
     # what moves with each x: J_a, and the derivatives of the columns along the residual
     moved: list[FloatArray] = []
@@ -177,8 +202,8 @@ def project(model: Separable, rows: Rows, x: FloatArray) -> Projected:
                 if j < count:
                     along[:, j, a] = _inner(weighted, slope)
         moved.append(root * change)
-    v = _solve_lower(r, along)
-    every, upper = _extend(q, moved, m)
+    v = _solve_lower(best.r, along)
+    every, upper = _extend(best.q, moved, m)
     u, rz = upper[:, :count], upper[:, count:]
     scale = np.sqrt(np.sum(upper**2, axis=1) + np.sum(v**2, axis=1))
     b = np.zeros((m, k))
@@ -201,7 +226,7 @@ def project(model: Separable, rows: Rows, x: FloatArray) -> Projected:
         -(np.swapaxes(rz, 1, 2) @ b[:, :, None])[:, :, 0],
         hessian,
         scale,
-        (10.0 * _EPS) ** 2 * np.maximum(size2, np.max((scale * x) ** 2, axis=1, initial=0.0)),
+        (10.0 * _EPS) ** 2 * np.maximum(best.size2, np.max((scale * x) ** 2, axis=1, initial=0.0)),
         exact,
     )
     _fence(state)

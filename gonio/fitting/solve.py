@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.fitting.newton import minimise
-from gonio.fitting.separable import IndexArray, Projected, Rows, Separable, project
+from gonio.fitting.separable import IndexArray, Projected, Rows, Separable, project, settle
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-_BLOCK = 60_000  # readings worked on together: scratch arrays stay in the cache
+_BLOCK = 100_000  # readings worked on together: scratch arrays stay in the cache
 _GRID_BLOCK = 1_000_000  # numbers of a grid's sums held at once
 _ALIKE = 1e-10  # squared part of a column beside the others below which a start does not count it
 _ITERATIONS = 200
@@ -133,7 +133,12 @@ def _refine_block(
         part = rows if pick.size == all_rows.size else rows.of_problems(pick)
         return project(model, part, at)
 
-    x, state, converged = minimise(evaluate, x, model.low, model.high, free, iterations=iterations, bold=bold)
+    def last(at: FloatArray, pick: IndexArray) -> tuple[FloatArray, FloatArray]:
+        return settle(model, rows.of_problems(pick), at)
+
+    x, state, converged = minimise(
+        evaluate, last, x, model.low, model.high, free, iterations=iterations, bold=bold
+    )
     basic = np.concatenate([state.coefficients * rows.size[:, None], x], axis=1)
     chi2 = state.chi2 * (rows.size * rows.heaviest) ** 2
     lost = ~np.isfinite(state.chi2)

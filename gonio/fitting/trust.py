@@ -31,6 +31,8 @@ class Step:
         (m, k), zero in held variables.
     exact
         (m,), it minimises the model with the exact Hessian, not that of Gauss and Newton.
+    whole
+        (m,), the trust region does not shorten it.
     decrement
         (m,), what the step without a trust region would take off chi2.
     downward
@@ -39,6 +41,7 @@ class Step:
 
     s: FloatArray
     exact: BoolArray
+    whole: BoolArray
     decrement: FloatArray
     downward: BoolArray
 
@@ -86,7 +89,7 @@ def step_within(
     rows = np.flatnonzero(long)
     if rows.size:
         s[rows] = _within(matrix[rows] + ridge[rows], (here.gradient * unit)[rows], radius[rows])
-    return Step(s * unit, use, decrement, downward)
+    return Step(s * unit, use, ~long, decrement, downward)
 
 
 def _within(matrix: FloatArray, gradient: FloatArray, radius: FloatArray) -> FloatArray:
