@@ -22,6 +22,8 @@ from gonio.fitting.shared import Detectors, Shared, fit_shared
 from gonio.fitting.solve import Solution
 from gonio.fitting.weighing import Used, Weighed
 
+_AS_WIDE = 5.0  # times Lambert's standard error of rho_d: beyond, a lobe and the diffuse part look alike
+
 
 @dataclass(frozen=True, slots=True)
 class Setting:
@@ -222,6 +224,8 @@ def _findings(
             held[:, linear:] |= endless
             unit, from_common = random_and_common(model, basic, w_cov, held, common)
     covariance, modes = scale[:, None, None] * unit + from_common, np.zeros((0, *basic.shape))
+    if not np.all(lobe):
+        _allow_for_unseen(model, weighed.solution.basic, w, basic, variance, t, lobe, covariance)
     given = held.copy()  # without uncertainty of their own, but known
     given[:, :linear] = False
     given &= lobe[:, None] & ~np.isposinf(np.pad(ends.upper, ((0, 0), (linear, 0))))
@@ -277,6 +281,36 @@ def _without_lobe(
         np.where(lobe[:, None], basic, plain),
         np.where(lobe, dof, (count - diffuse_count).astype(np.float64)),
     )
+
+
+def _allow_for_unseen(
+    model: FitModel,
+    full: FloatArray,
+    w: FloatArray,
+    plain: FloatArray,
+    variance: FloatArray,
+    quantile: FloatArray,
+    lobe: BoolArray,
+    covariance: FloatArray,
+) -> None:
+    """Widen the variance of rho_d where no lobe is seen: one may be there, only not above the noise.
+
+    The interval then holds that of the optimum with a lobe too, at that lobe's shape.  Lambert's alone would
+    cover a weak lobe's rho_d in a quarter of the scans.
+    """
+    rows = np.flatnonzero(~lobe)
+    held = np.zeros(full.shape, bool)
+    held[:, len(model.linear) :] = True
+    unit, _ = random_and_common(model, full[rows], w[:, rows], held[rows], None)
+    for column, name in enumerate(model.linear):
+        if is_lobe(name):
+            continue
+        own = np.sqrt(covariance[rows, column, column])
+        other = np.sqrt(variance[rows] * unit[:, column, column])
+        reach = np.abs(full[rows, column] - plain[rows, column]) / quantile[rows] + other
+        # a lobe as wide as the diffuse part itself says nothing about it
+        told = np.isfinite(reach) & (other < _AS_WIDE * own)
+        covariance[rows, column, column] = np.where(told, np.maximum(own, reach), own) ** 2
 
 
 def _published(kind: type[FitModel], basic: FloatArray, lobe: BoolArray, untold: BoolArray) -> FloatArray:

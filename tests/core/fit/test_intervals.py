@@ -145,3 +145,33 @@ def test_claimed_correlation_is_that_of_the_estimates(
         ("hardly separable" in note) == (abs(c) > 0.95)
         for note, c in zip(fit.notes, fit.correlation[:, 1, 3], strict=True)
     )
+
+
+@pytest.mark.parametrize(
+    ("truth", "level"), [((0.72, 0.2, 15.0, 1.2), 10.0), ((0.72, 0.2, 100.0, 1.2), 10.0)]
+)
+def test_a_lobe_below_the_noise_is_allowed_for_in_rho_d(
+    positions: Positions,
+    exact_readings: Readings,
+    aperture: Aperture,
+    truth: tuple[float, float, float, float],
+    level: float,
+) -> None:
+    """P light, 5 % noise: no lobe is seen, but there is one; Lambert's own interval would miss rho_d."""
+    p = positions.polarization == "p"
+    r = exact_readings(*truth)[p]
+    noise = level * instrument_noise(r)[:, None]
+    y = r[:, None] + noise * np.random.default_rng(8).standard_normal((r.size, 150))
+    at = positions[p]
+    fit = fit_readings(
+        at.theta_i_deg, at.theta_o_deg, at.polarization, y, instrument=aperture, polarization="p"
+    )
+    unseen = np.array(["no lobe is seen" in note for note in fit.notes])
+    assert np.mean(unseen) > 0.5
+    covered = (fit.lower[:, 0] <= truth[0]) & (truth[0] <= fit.upper[:, 0])
+    assert np.mean(covered[unseen]) > 0.93
+    plain = (
+        np.sqrt(np.nansum((fit.sigma**-2) * aperture.diffuse_integral(at.theta_o_deg)[:, None] ** 2, axis=0))
+        ** -1
+    )
+    assert np.median(fit.se[unseen, 0] / plain[unseen]) < 2.5
