@@ -54,7 +54,10 @@ class Separable(Protocol):
         ...
 
     def columns(self, x: FloatArray, order: int = 0) -> Columns:
-        """Return the columns at x (m, k); second derivatives may be left out at any order."""
+        """Return the columns at x (m, k); second derivatives may be left out at any order.
+
+        One column more than there are names enters as it is, with the coefficient 1.
+        """
         ...
 
 
