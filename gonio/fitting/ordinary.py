@@ -124,7 +124,7 @@ def least_squares(
     root = np.sqrt(w[used])
 
     def weighted(x: NDArray[np.complex128] | FloatArray) -> NDArray[np.complex128] | FloatArray:
-        value = np.asarray(function(x)) - target  # type: ignore[arg-type]
+        value = np.asarray(function(x.copy())) - target  # type: ignore[arg-type]
         return np.asarray(root * (value[used] / size))
 
     def given(x: FloatArray) -> FloatArray:
