@@ -8,11 +8,7 @@ import mpmath
 import numpy as np
 import pytest
 from decays import Decays, FloatArray, Lines, Square, chi2_of
-from scipy import optimize
 
-from gonio.errors import FitError
-from gonio.fitting.outer import outer
-from gonio.fitting.prior import with_prior
 from gonio.fitting.separable import Rows, project
 from gonio.fitting.solve import grid_start, refine
 
@@ -243,63 +239,6 @@ def test_a_saddle_is_left() -> None:
     found = refine(Square(5), y, np.ones_like(y), np.array([[0.0], [0.3]]))
     assert np.all(found.converged)
     np.testing.assert_allclose(np.abs(found.basic[:, 0]), 1.0, rtol=1e-9)
-
-
-def test_a_prior_is_a_reading() -> None:
-    """Against scipy, with the prior's residuals written out."""
-    model = Decays(T, 1, drift=True)
-    y = noisy(model, np.array([[0.3, 2.0, 1.1, 0.4]]), 3, sd=0.05)
-    w = np.full_like(y, 1.0 / 0.05**2)
-    value = np.array([0.5, 0.0, 1.4, 0.45])
-    sd = np.array([[0.02, np.inf, 0.05, 0.01], [np.inf] * 4, [np.inf, np.inf, 0.1, np.inf]])
-    told, y2, w2 = with_prior(model, y, w, value, sd)
-    found = refine(told, y2, w2, np.tile([0.8, 0.5], (3, 1)))
-    assert np.all(found.converged)
-    for j in range(3):
-
-        def residual(b: FloatArray, j: int = j) -> FloatArray:
-            data = (model.predicted(b[None])[:, 0] - y[:, j]) / 0.05
-            return np.concatenate([data, (b - value) / sd[j]])
-
-        peer = optimize.least_squares(residual, [0.3, 2.0, 1.1, 0.4], xtol=1e-15, ftol=1e-15, gtol=1e-15)
-        np.testing.assert_allclose(found.basic[j], peer.x, rtol=1e-6)
-        assert found.chi2[j] == pytest.approx(2.0 * peer.cost, rel=1e-10)
-    same, y3, _ = with_prior(model, y, w, value, np.inf)
-    assert same is model
-    assert y3 is y
-    with pytest.raises(FitError, match="sd of basic parameter 2 is 0 at wavelength 0; give a positive one"):
-        with_prior(model, y, w, value, [1.0, 1.0, 0.0, 1.0])
-    with pytest.raises(FitError, match="value of basic parameter 1 at wavelength 0 is nan"):
-        with_prior(model, y, w, [0.0, np.nan, 0.0, 0.0], 1.0)
-
-
-def test_chi2_as_a_function_of_what_is_shared() -> None:
-    """Gradient and curvature of chi2 with all else at its best, against differences of fits."""
-    model = Decays(T, 2)
-    y = noisy(model, np.array([[0.2, 1.5, 1.0, 0.6, 2.2]]), 3, sd=0.05)
-    w = np.full_like(y, 7.0)
-    begin = np.tile([0.5, 2.5], (3, 1))
-
-    def best(shared: float) -> tuple[FloatArray, FloatArray]:
-        start = begin.copy()
-        start[:, 1] = shared
-        found = refine(model, y, w, start, free=(True, False))
-        assert np.all(found.converged)
-        return found.chi2, found.basic
-
-    at, h = 2.4, 1e-2
-    chi2, basic = best(at)
-    here = outer(model, y, w, basic[:, 3:], [1])
-    np.testing.assert_allclose(here.chi2, chi2, rtol=1e-12)
-    np.testing.assert_allclose(here.coefficients, basic[:, :3], rtol=1e-9)
-    f = [best(at + s * h) for s in (-2.0, -1.0, 1.0, 2.0)]
-    slope = (8.0 * (f[2][0] - f[1][0]) - (f[3][0] - f[0][0])) / (12.0 * h)
-    np.testing.assert_allclose(here.gradient[:, 0], slope, rtol=1e-5)
-    curve = (16.0 * (f[2][0] + f[1][0]) - (f[3][0] + f[0][0]) - 30.0 * chi2) / (12.0 * h * h)
-    np.testing.assert_allclose(here.hessian[:, 0, 0], curve, rtol=1e-4)
-    follow = (8.0 * (f[2][1] - f[1][1]) - (f[3][1] - f[0][1]))[:, 3] / (12.0 * h)
-    np.testing.assert_allclose(here.response[:, 0, 0], follow, rtol=1e-4)
-    np.testing.assert_array_equal(here.response[:, 1, 0], 1.0)
 
 
 @pytest.mark.parametrize("drift", [False, True])
