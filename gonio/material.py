@@ -91,8 +91,8 @@ class Material:
         """
         if fit.model != "published" or fit.polarization == "shared_n2":
             raise GonioError(
-                f"no material from a fit of model '{fit.model}', polarization '{fit.polarization}': a material "
-                "is one published lobe for S and P; fit with model 'published' and polarization 'joint', 's' "
+                f"no material from a fit of model '{fit.model}', polarization '{fit.polarization}': a "
+                "material is one published lobe for S and P; fit with model 'published' and polarization 'joint', 's' "
                 "or 'p'"
             )
         fit = fit.only(fit.home)  # one value where two detectors measured a wavelength
