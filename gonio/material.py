@@ -92,8 +92,8 @@ class Material:
         if fit.model != "published" or fit.polarization == "shared_n2":
             raise GonioError(
                 f"no material from a fit of model '{fit.model}', polarization '{fit.polarization}': a "
-                "material is one published lobe for S and P; fit with model 'published' and polarization 'joint', 's' "
-                "or 'p'"
+                "material is one published lobe for S and P; fit with model 'published' and polarization "
+                "'joint', 's' or 'p'"
             )
         fit = fit.only(fit.home)  # one value where two detectors measured a wavelength
         rho_d, rho_s, alpha, n2 = fit.value.T
