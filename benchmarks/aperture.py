@@ -1,9 +1,13 @@
-"""Speed and error of the aperture integral, beside quadratures that need no closed form.
+"""Speed and error of the aperture integral and of the instrument function, beside plain quadratures.
 
     python benchmarks/aperture.py
 
-Error is the largest relative difference from 30-digit values over random lobes that the aperture sees; time
-is per integral, for arrays.
+Aperture: error is the largest relative difference from 30-digit values over random lobes that the aperture
+sees; time is per integral, for arrays.
+
+Beam: the paper's 146 positions at 144 exponents, what a fit tabulates.  Error is the largest difference from
+the converged values over the largest value at that exponent; the peers sum the exact aperture over points of
+the spot (Gauss-Legendre), as one does who has no instrument function.
 """
 
 from __future__ import annotations
@@ -14,7 +18,7 @@ from collections.abc import Callable
 import mpmath as mp
 import numpy as np
 
-from gonio.aperture import Aperture
+from gonio.aperture import Aperture, IncidentBeam, InstrumentFunction
 
 ARTA = Aperture(26.0, 18.0, 95.2353)
 
@@ -55,6 +59,62 @@ def plane_rule(nodes: int) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     return integral
 
 
+def shifted(beam: IncidentBeam, count: int) -> Callable[..., np.ndarray]:
+    """The aperture summed over points along the spot: moved and turned as each of them sees it."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+
+    def table(alpha: np.ndarray, theta_i: np.ndarray, theta_o: np.ndarray) -> np.ndarray:
+        total = np.zeros((alpha.size, theta_i.size))
+        for node, weight in zip(nodes, weights, strict=True):
+            for k, (i, o) in enumerate(zip(theta_i, theta_o, strict=True)):
+                x = node * float(beam.half_length_mm(i))
+                # the rectangle from x: nearer by x sin(theta_o), its centre x cos(theta_o) to the side
+                far = ARTA.distance_mm - x * np.sin(np.deg2rad(o))
+                sides = np.arctan((np.array([-13.0, 13.0]) - x * np.cos(np.deg2rad(o))) / far)
+                turn = float(np.rad2deg(np.mean(sides)))
+                half = 0.5 * float(sides[1] - sides[0])
+                seen = Aperture(2.0 * far * np.tan(half), ARTA.height_mm, far)
+                row = seen.lobe_table(alpha, np.array([i - o - turn]), np.array([o + turn]))
+                total[:, k] += 0.5 * weight * row[:, 0]
+        return total
+
+    return table
+
+
+def beams() -> None:
+    """Tabulate the lobe through a beam."""
+    starts, counts = (20.0, 30.0, 45.0, 55.0), (31, 34, 38, 43)
+    theta_i = np.repeat(starts, counts)
+    theta_o = np.concatenate([15.0 + 3.0 * np.arange(n) - i for i, n in zip(starts, counts, strict=True)])
+    alpha = np.geomspace(0.1, 1e6, 144)
+    start = time.perf_counter()
+    ARTA.lobe_table(alpha, theta_i - theta_o, theta_o)
+    print(f"\n{'beam':<24}{'method':<18}{'s per table':>12}{'error':>10}")
+    print(f"{'a line':<24}{'gonio':<18}{time.perf_counter() - start:>12.3f}")
+    for beam, peers in (
+        (IncidentBeam(1.0, 0.0), (3, 8, 24)),
+        (IncidentBeam(1.0, 1.0), ()),
+        (IncidentBeam(0.0, 0.0, 1.0), ()),
+        (IncidentBeam(1.0, 1.0, 1.0), ()),
+    ):
+        name = f"{beam.width_mm:g} x {beam.height_mm:g} mm, {beam.divergence_deg:g} deg"
+        instrument = InstrumentFunction(ARTA, beam)
+        start = time.perf_counter()
+        table = instrument.lobe_table(alpha, theta_i - theta_o, theta_o, theta_i)
+        seconds = time.perf_counter() - start
+        few = slice(0, None, 24)
+        single = instrument.lobe_integral(alpha[few, None], theta_i - theta_o, theta_o, theta_i)
+        size = np.max(single, axis=1, keepdims=True)
+        print(f"{name:<24}{'gonio':<18}{seconds:>12.3f}{np.max(np.abs(table[few] - single) / size):>10.1e}")
+        for count in peers:
+            start = time.perf_counter()
+            plain = shifted(beam, count)(alpha, theta_i, theta_o)
+            seconds = time.perf_counter() - start
+            size = np.max(table, axis=1, keepdims=True)
+            error = np.max(np.abs(plain - table) / size)
+            print(f"{name:<24}{f'{count} points':<18}{seconds:>12.3f}{error:>10.1e}")
+
+
 def main() -> None:
     rng = np.random.default_rng(1)
     print("                        alpha    us per integral    largest relative error")
@@ -78,6 +138,7 @@ def main() -> None:
             each_us = 1e6 * (time.perf_counter() - start) / many[0].size
             error = np.max(np.abs(method(alpha, delta) / expected - 1.0))
             print(f"{name:<10}{low:>9g} ...{high:>8g}{each_us:>15.1f}{error:>22.1e}")
+    beams()
 
 
 if __name__ == "__main__":

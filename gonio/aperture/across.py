@@ -129,7 +129,7 @@ def across_coefficients(
         transform[0] *= 0.5
         series = values @ transform.T  # (n_alpha, powers, Q)
         size = np.max(np.abs(values), axis=(1, 2))
-        if high == low or count >= 64 or np.all(np.abs(series[:, :, -2:]) <= 1e-14 * size[:, None, None]):
+        if high == low or count >= 256 or np.all(np.abs(series[:, :, -2:]) <= 1e-14 * size[:, None, None]):
             break
         count *= 2
     if powers == 1:

@@ -141,15 +141,15 @@ def accepted_light(
         add(everywhere, t, np.ones_like(t), np.zeros_like(t))
         return result
     nodes, weights = gauss_legendre(8)
-    from_t, to_t = u + geometry.delta - geometry.tilt, u + geometry.delta + geometry.tilt
+    direct = u + geometry.delta
     for start, end in itertools.pairwise(breaks):
-        low, high = np.maximum(from_t, start), np.minimum(to_t, end)
+        # tilts, not directions: where nothing is cut their range has all its digits, however small the cone
+        low, high = np.maximum(-geometry.tilt, start - direct), np.minimum(geometry.tilt, end - direct)
         at = np.flatnonzero(high > low)
         if at.size:
             h = 0.5 * (high - low)[at, None]
-            t = 0.5 * (high + low)[at, None] + h * nodes
-            tilt = (t - u[at, None] - geometry.delta) / geometry.tilt
-            add(at, t, h * weights / (2.0 * geometry.tilt), tilt)
+            tilt = 0.5 * (high + low)[at, None] + h * nodes
+            add(at, direct[at, None] + tilt, h * weights / (2.0 * geometry.tilt), tilt / geometry.tilt)
     return result
 
 

@@ -22,6 +22,8 @@ from gonio.errors import ConfigError, RefusedError
 LONGEST_SPOT = 0.5
 """Half length of the lit spot that is still integrated, as a fraction of the distance to the aperture."""
 
+_CHUNK = 512  # alphas worked on together: bounds the scratch memory to a few MB
+
 
 @dataclass(frozen=True, slots=True)
 class InstrumentFunction:
@@ -182,11 +184,13 @@ class InstrumentFunction:
             if u.size == 0:
                 continue
             light = accepted_light(at, geometry, u, tau_range, coefficients.shape[2], moments)
-            lobe = np.exp(alpha[rows, None] * log_cos) * weight
-            v = np.minimum(np.tan(u) ** 2, limit[rows, None]) if tilt > 0.0 else np.zeros((1, 1))
-            for m in range(moments):
-                mean = coefficients[-1][rows] @ light[m]
-                for power in range(coefficients.shape[0] - 2, -1, -1):
-                    mean = mean * v + coefficients[power][rows] @ light[m]
-                table[m, rows, k] = np.sum(lobe * mean, axis=1)
+            for first in range(0, rows.size, _CHUNK):
+                part = rows[first : first + _CHUNK]
+                lobe = np.exp(alpha[part, None] * log_cos) * weight
+                v = np.minimum(np.tan(u) ** 2, limit[part, None]) if tilt > 0.0 else np.zeros((1, 1))
+                for m in range(moments):
+                    mean = coefficients[-1][part] @ light[m]
+                    for power in range(coefficients.shape[0] - 2, -1, -1):
+                        mean = mean * v + coefficients[power][part] @ light[m]
+                    table[m, part, k] = np.sum(lobe * mean, axis=1)
         return table

@@ -95,6 +95,8 @@ class Aperture:
         theta_o_deg
             Detector direction from the normal, degrees.  When given, the part of the aperture below the
             sample plane receives nothing; without it the sample plane is ignored.
+        theta_i_deg
+            Not used: all light comes from one point.
 
         Returns
         -------
@@ -105,7 +107,8 @@ class Aperture:
         Notes
         -----
         ``∫ cos(psi)^(alpha + 1) dpsi`` over ``±psi_max`` is an incomplete beta function; what remains in t is
-        one smooth integral, done by 64 Gauss-Legendre nodes placed over the part that carries the value.
+        one smooth integral, done on each side of the mirror direction by 64 Gauss-Legendre nodes placed over
+        the part that carries the value.
         """
         return band_integral(alpha, delta_deg, self._half_width_rad, theta_o_deg, self._across)
 
