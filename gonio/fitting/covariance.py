@@ -58,7 +58,9 @@ def without_common(
         scale, modes = total / count, np.zeros_like(pull)
         used = np.zeros(len(total))
         for _ in range(6):
-            prior = np.maximum(scale, np.finfo(float).tiny)[:, None, None] * np.eye(v.shape[2])
+            # without noise nothing is left of s^2; rounding of V' W V still is
+            least = np.finfo(float).eps * np.trace(gram, axis1=1, axis2=2) + np.finfo(float).tiny
+            prior = np.maximum(scale, least)[:, None, None] * np.eye(v.shape[2])
             ridge = np.linalg.solve(gram + prior, np.concatenate([gram, pull[:, :, None]], axis=2))
             modes, used = ridge[:, :, -1], np.trace(ridge[:, :, :-1], axis1=1, axis2=2)
             scale = np.sum((e - np.einsum("mnv,mv->mn", v, modes)) ** 2, axis=1) / (count - used)

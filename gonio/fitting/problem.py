@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from gonio import fresnel
 from gonio.aperture import InstrumentFunction, Receiver
 from gonio.brdf import PublishedLobe
+from gonio.fitting.basins import best_descent, summits
 from gonio.fitting.columns import BoolArray, Columns, FloatArray
 from gonio.fitting.lobe_table import ALPHA_MAX, ALPHA_MIN, LobeTable
 
@@ -31,7 +32,7 @@ _POLARIZATIONS: tuple[fresnel.Polarization, fresnel.Polarization] = ("s", "p")
 _TILTS = 3  # Legendre polynomials of R over the divergence; the next is below 1e-6 of R at 2 deg
 _BLOCK = 256  # wavelengths worked on together: scratch arrays stay in the cache
 
-_GRID_LOG_ALPHA = np.linspace(np.log(ALPHA_MIN), np.log(ALPHA_MAX), 49)
+_GRID_LOG_ALPHA = np.linspace(np.log(ALPHA_MIN), np.log(ALPHA_MAX), 97)
 _GRID_N2 = 1.0 + np.geomspace(N2_MIN - 1.0, N2_MAX - 1.0, 10)
 _GRID_N2 = np.unique(np.concatenate([_GRID_N2, np.arange(1.1, 2.05, 0.08), [2.3, 3.0, 4.0]]))
 
@@ -157,7 +158,8 @@ class Problem:
         """Return the best grid point (log_alpha, n2) of each wavelength, (m, 2).
 
         Incidences closer than half a degree share one Fresnel ratio here, so the cost is that of a few sums
-        per group.
+        per group.  Where the grid has more than one summit, the search goes on from each, and the best is
+        returned: few positions see a narrow lobe so seldom that an optimum may lie between grid points.
         """
         keys = {(round(2.0 * theta), s) for theta, s in self.groups}
         groups = sorted(keys)
@@ -169,6 +171,7 @@ class Problem:
         (lobe,) = self.lobe.evaluate(_GRID_LOG_ALPHA)
         d = self.diffuse[:, None]
         best = np.empty((y.shape[1], 2))
+        others: list[tuple[NDArray[np.intp], FloatArray]] = []
         for at in range(0, y.shape[1], _BLOCK):
             yb, wb = y[:, at : at + _BLOCK], w[:, at : at + _BLOCK]
             dd, dy = np.sum(wb * d**2, axis=0), np.sum(wb * d * yb, axis=0)
@@ -186,7 +189,9 @@ class Problem:
             index = np.argmax(gain.reshape(-1, yb.shape[1]), axis=0)
             n2, alpha = np.unravel_index(index, gain.shape[:2])
             best[at : at + _BLOCK] = np.stack([_GRID_LOG_ALPHA[alpha], _GRID_N2[n2]], axis=1)
-        return best
+            for columns, alpha, n2 in summits(gain):
+                others.append((at + columns, np.stack([_GRID_LOG_ALPHA[alpha], _GRID_N2[n2]], axis=1)))
+        return best_descent(self, y, w, best, others)
 
 
 def _product(q: list[FloatArray], lobes: list[tuple[FloatArray, ...]], order: int) -> FloatArray:
