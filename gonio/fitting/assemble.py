@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from gonio.aperture import Aperture, ApertureName, IncidentBeam
+from gonio.fitting.ambiguous import other_index
 from gonio.fitting.columns import BoolArray, FitModel, FloatArray, readings
 from gonio.fitting.covariance import CommonMode, random_and_common, without_common
 from gonio.fitting.dispersion import Dispersion
@@ -18,6 +19,7 @@ from gonio.fitting.notes import write_notes, write_remarks
 from gonio.fitting.result import CONFIDENCE, FitResult, IntervalMethod, PolarizationChoice
 from gonio.fitting.robust import Loss, robust_scale, variance_factor
 from gonio.fitting.selection import combined_runs_probability, runs_probability
+from gonio.fitting.separate import SeparateSurfaces
 from gonio.fitting.shared import Detectors, Shared, fit_shared
 from gonio.fitting.solve import Solution
 from gonio.fitting.weighing import Used, Weighed
@@ -70,6 +72,7 @@ class Findings:
     untold: BoolArray  # one incidence and polarization only
     runs: FloatArray  # (k,) probability by chance that the residuals change their sign so seldom
     runs_together: float  # that of all wavelengths
+    other_n2: FloatArray  # (k,) an index outside the interval that fits as well, or NaN
 
 
 def assemble(
@@ -247,13 +250,22 @@ def _findings(
     lower, upper = value - half, value + half
     if setting.intervals == "wald":
         open_ends(kind, basic, covariance, ends, t, value, se, lower, upper, published)
-    where = setting.theta_i_deg, setting.theta_o_deg, setting.polarization_of == "s"
+    is_s = setting.polarization_of == "s"
+    other_n2 = np.full(len(basic), np.nan)
+    if "n2" in kind.shape and setting.intervals == "wald" and not issubclass(kind, SeparateSurfaces):
+        only_p = lobe & free[:, kind.shape.index("n2")] & ~np.any(used.use & is_s[:, None], axis=0)
+        n2_column = kind.parameters.index("n2")
+        other_n2 = other_index(
+            model, y, w, Solution(basic, chi2, solution.converged),
+            lower[:, n2_column], upper[:, n2_column], scale, only_p & (dispersion is None),
+        )  # fmt: skip
+    where = setting.theta_i_deg, setting.theta_o_deg, is_s
     part = Findings(
         kind.parameters, value, se, lower, upper, published, basic_nan, covariance, modes, chi2, dof,
         np.where(used.use, residual, np.nan),
         np.where(used.use, 1.0 / np.sqrt(np.where(used.use, w_cov, 1.0)), np.nan),
         scale, solution.converged, lobe, untold,
-        runs_probability(scatter, *where), combined_runs_probability(scatter, *where),
+        runs_probability(scatter, *where), combined_runs_probability(scatter, *where), other_n2,
     )  # fmt: skip
     return part, shared
 

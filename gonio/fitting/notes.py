@@ -111,6 +111,11 @@ def _shape_notes(found: Findings, k: int) -> list[str]:
             parts.extend(_index_note(float(low), float(high)))
     if "n2" not in found.names:
         return parts
+    if np.isfinite(found.other_n2[k]):
+        parts.append(
+            f"n2 = {found.other_n2[k]:.3g} fits as well, on the other side of Brewster's angle: rho_s and n2 "
+            "are ambiguous and the intervals hold one choice, measure S too"
+        )
     index = found.names.index("n2")
     for column, name in enumerate(found.names):
         variance = found.covariance[k, column, column] * found.covariance[k, index, index]
