@@ -17,6 +17,9 @@ from gonio.plan.model import Plan
 from gonio.store.layout import COLUMNS
 from gonio.store.records import ScanHeader
 
+END_TIME_BYTES = 40
+"""Room for a time with microseconds and its zone."""
+
 
 def text_dataset(group: h5py.Group, name: str, value: str) -> None:
     """Write a string of any length; HDF5 has no zero bytes in it."""
@@ -70,6 +73,9 @@ def write_entry(file: h5py.File, header: ScanHeader, plan: Plan) -> h5py.Group:
         ("angle_reference_frame", "sample-normal centered"),
     ):
         text_dataset(entry, name, value)
+    # A name that is added later changes three places of the file, and a process that dies between them leaves
+    # one that does not open; so the end has its place from the start, to be written over.
+    entry.create_dataset("end_time", data=b"", dtype=h5py.string_dtype("utf-8", END_TIME_BYTES))
     sample = nexus_group(entry, "sample", "NXsample")
     text_dataset(sample, "name", plan.sample.name)
     text_dataset(sample, "description", plan.sample.description)

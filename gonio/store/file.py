@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from gonio.errors import StoreError
 from gonio.plan.model import Plan, Position
-from gonio.store.describe import link_instrument, nexus_group, text_dataset, text_list, write_entry
+from gonio.store.describe import link_instrument, nexus_group, text_list, write_entry
 from gonio.store.latest import LatestReduction
 from gonio.store.layout import (
     COLUMNS,
@@ -305,7 +305,7 @@ class ScanFile:
             self.add_event(event)
         with explained(self.path, "finished"):
             fill_sweeps(self._entry)
-            text_dataset(self._entry, "end_time", end_time)
+            self._entry["end_time"][()] = end_time.encode()
             self._entry.attrs["scan_status"] = "finished"
             self._file.flush()
         return told
