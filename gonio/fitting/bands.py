@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from gonio.fitting.quantity import COEFFICIENTS, quantity_named
+from gonio.fitting.means import mode_shifts
+from gonio.fitting.quantity import COEFFICIENTS
 from gonio.spectral import LEAST_COVERAGE, BandWeights, Weight, band_weights
 
 if TYPE_CHECKING:
@@ -133,16 +134,7 @@ def band_average(
 def _average(
     fit: FitResult, share: FloatArray, name: str, theta_i_deg: float, value: FloatArray, se: FloatArray
 ) -> BandCoefficient:
-    kind = fit.kind
-    linear = len(kind.linear)
-    basic = fit.basic.copy()
-    middle = [1.5 if shape == "n2" else 0.0 for shape in kind.shape]
-    basic[:, linear:] = np.where(np.isfinite(basic[:, linear:]), basic[:, linear:], middle)
-    gradient = quantity_named(kind, name, theta_i_deg).slopes(basic)
-    # without a lobe its shape is undefined and its strength held at zero: no mode moves them
-    gradient = np.where(np.isfinite(fit.basic), gradient, 0.0)
-    modes = np.where(np.isfinite(fit.modes), fit.modes, 0.0)
-    shifts = np.einsum("gma,ma->gm", modes, gradient)
+    shifts = mode_shifts(fit, name, theta_i_deg)
     random = np.maximum(se**2 - np.sum(shifts**2, axis=0), 0.0) * share**2
     u_random, u_common = float(np.sqrt(np.sum(random))), float(np.sqrt(np.sum((shifts @ share) ** 2)))
     u = float(np.hypot(u_random, u_common))

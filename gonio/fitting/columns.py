@@ -11,13 +11,16 @@ eliminates c (variable projection) and searches over x alone.  The **basic** par
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Protocol, Self
+from typing import TYPE_CHECKING, ClassVar, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gonio.aperture import Receiver
 from gonio.brdf import ScatteringModel
+
+if TYPE_CHECKING:  # whose contract is a part of this one
+    from gonio.fitting.separable import Separable
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -104,17 +107,19 @@ def readings(model: FitModel, basic: FloatArray) -> FloatArray:
     return np.asarray(total)
 
 
-def jacobian(model: FitModel, basic: FloatArray) -> FloatArray:
-    """Return the derivatives of the readings by the basic parameters, (m, n, p)."""
+def jacobian(model: Separable, basic: FloatArray) -> FloatArray:
+    """Return the derivatives of the readings by the basic parameters, (m, n, p).
+
+    A column beyond the model's coefficients has the coefficient 1.
+    """
     count = len(model.linear)
-    at = model.columns(basic[:, count:], order=1)
-    m = len(basic)
-    j = np.zeros((m, at.value[0].shape[0], basic.shape[1]))
-    for k, column in enumerate(at.value):
-        j[:, :, k] = column.T
-    for a in range(len(model.shape)):
-        for k, slopes in enumerate(at.first):
-            slope = slopes[a]
+    at = model.columns(basic[:, count:], 1)
+    m, p = basic.shape
+    j = np.zeros((m, at.value[0].shape[0], p))
+    for k in range(count):
+        j[:, :, k] = at.value[k].T
+    for k, slopes in enumerate(at.first):
+        for a, slope in enumerate(slopes):
             if slope is not None:
-                j[:, :, count + a] += (basic[:, k] * slope).T
+                j[:, :, count + a] += (basic[:, k] * slope if k < count else slope).T
     return j

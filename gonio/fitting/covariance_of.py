@@ -9,8 +9,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.fitting.separable import Separable
-
 FloatArray = NDArray[np.float64]
 _EPS = float(np.finfo(float).eps)
 
@@ -44,21 +42,3 @@ def _norm(j: FloatArray) -> FloatArray:
     largest = np.max(np.abs(j), axis=-2, initial=0.0)
     unit = np.where(largest > 0.0, largest, 1.0)
     return np.asarray(largest * np.sqrt(np.sum((j / unit[..., None, :]) ** 2, axis=-2)))
-
-
-def basic_jacobian(model: Separable, basic: FloatArray) -> FloatArray:
-    """Return the derivatives of the readings by (coefficients, nonlinear parameters), (m, n, L + k)."""
-    count = len(model.linear)
-    at = model.columns(basic[:, count:], 1)
-    m, p = basic.shape
-    j = np.zeros((m, at.value[0].shape[0], p))
-    for c in range(count):
-        j[:, :, c] = at.value[c].T
-    weight = np.concatenate(
-        [basic[:, :count], np.ones((m, 1))], axis=1
-    )  # a column beyond the L has no coefficient
-    for c, slopes in enumerate(at.first):
-        for a, slope in enumerate(slopes):
-            if slope is not None:
-                j[:, :, count + a] += (weight[:, c] * slope).T
-    return j

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.fitting.means import Column, columns_of
 from gonio.fitting.ratios import detector_ratios
 from gonio.sphere.compare import SphereComparison, compare
 from gonio.sphere.stored import sphere_of_columns
@@ -58,14 +59,14 @@ def band_table(
 
     Notes
     -----
-    An entry is the plain mean over the band's wavelengths ± half its 95 % interval, the wavelengths being
-    independent: each has its own readings, baseline and dark.  The sphere and E_n are those of
-    `gonio.sphere.compare`; a band that spans a detector change has no E_n.  A wavelength that two detectors
-    measured counts once, with the detector on whose side of the change it lies; their ratio stands below the
-    table.
+    An entry is the plain mean over the band's wavelengths ± half its 95 % interval: each has its own
+    readings, baseline and dark, which average out; what wavelengths share does not
+    (`gonio.fitting.means`).  The sphere and E_n are those of `gonio.sphere.compare`; a band that spans a
+    detector change has no E_n.  A wavelength that two detectors measured counts once, with the detector on
+    whose side of the change it lies; their ratio stands below the table.
     """
     whole, fit = fit, fit.only(fit.home)
-    columns = _columns(fit)
+    columns = columns_of(fit, THETA_I_DEG)
     rows = _rows(fit, BANDS if bands is None else bands)
     lines: list[str] = []
     for names in (fit.parameters, ("k_d", "k_s", "k_g")):  # side by side they are wider than a terminal
@@ -75,6 +76,7 @@ def band_table(
         f"mean ± half its 95 % interval; k at {THETA_I_DEG:g} deg, S/P mean, lobe above the horizon;\n"
         f"model '{fit.model}', aperture '{fit.aperture}', polarization '{fit.polarization}'"
     )
+    lines += textwrap.wrap(_covered(whole), _WIDTH)
     ratios = detector_ratios(whole)
     if ratios:
         lines += ["detectors where both measured:", *(f"  {ratio.text(detector_names)}" for ratio in ratios)]
@@ -84,19 +86,26 @@ def band_table(
     return "\n".join(lines)
 
 
+def _covered(fit: FitResult) -> str:
+    """Say which causes the intervals know."""
+    if fit.intervals == "nlparci":
+        return "± holds the scatter of the residuals alone, as nlparci does"
+    own = "± holds noise, dark and baseline of the scan"
+    if fit.mode_names:
+        return f"{own}, and what wavelengths share: {', '.join(fit.mode_names)}"
+    return f"{own}; not the rig's [uncertainty] (aperture, alignment, ...), which --budget brings in"
+
+
 def _block(
     fit: FitResult,
-    columns: Mapping[str, tuple[FloatArray, FloatArray]],
+    columns: Mapping[str, Column],
     rows: Sequence[tuple[str, NDArray[np.bool_]]],
     truth: Mapping[str, FloatArray] | None,
     sphere: Mapping[str, FloatArray] | None,
 ) -> list[str]:
     """Return the lines of the table of some columns."""
     names = list(columns)
-    cells = [
-        [_entry(value[use], half[use], digits_of(name)) for name, (value, half) in columns.items()]
-        for _, use in rows
-    ]
+    cells = [[_entry(column, use, digits_of(name)) for name, column in columns.items()] for _, use in rows]
     width = [
         3 + max(map(len, (name, *column)))
         for name, column in zip(names, zip(*cells, strict=True), strict=True)
@@ -122,15 +131,6 @@ def _block(
     return lines
 
 
-def _columns(fit: FitResult) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Return value and half width, (m,) each, by name."""
-    columns = {name: (fit.value[:, i], fit.quantile * fit.se[:, i]) for i, name in enumerate(fit.parameters)}
-    k = fit.hemispherical(THETA_I_DEG)
-    return columns | {
-        name: (c.value, fit.quantile * c.se) for name, c in (("k_d", k.k_d), ("k_s", k.k_s), ("k_g", k.k_g))
-    }
-
-
 def _rows(fit: FitResult, bands: Sequence[tuple[float, float]]) -> list[tuple[str, NDArray[np.bool_]]]:
     at = fit.wavelength_nm
     if not np.all(np.isfinite(at)):
@@ -143,17 +143,15 @@ def _rows(fit: FitResult, bands: Sequence[tuple[float, float]]) -> list[tuple[st
     return rows or [(f"{at.min():g}-{at.max():g}", np.ones(len(at), bool))]
 
 
-def _entry(value: FloatArray, half: FloatArray, digits: int) -> str:
-    good = np.isfinite(value)
-    if not np.any(good):
+def _entry(column: Column, use: NDArray[np.bool_], digits: int) -> str:
+    mean, half = column.mean(use)
+    if not np.isfinite(mean):
         return "undetermined" if digits < 4 else "-"
-    mean = float(np.mean(value[good]))
     if abs(mean) >= 1e4:  # an exponent that only the edges of the lobe tell: no decimals to speak of
         digits = 0
-    sd = half[good]
-    if not np.all(np.isfinite(sd)):
+    if not np.isfinite(half):
         return f"{mean:.{digits}f} ± {'?':<{digits + 2}}"
-    return f"{mean:.{digits}f} ± {float(np.sqrt(np.sum(sd**2)) / sd.size):.{digits}f}"
+    return f"{mean:.{digits}f} ± {half:.{digits}f}"
 
 
 def _interpolated(columns: Mapping[str, FloatArray], name: str, at: FloatArray) -> FloatArray | None:

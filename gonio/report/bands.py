@@ -1,7 +1,7 @@
 """What are the results, in a few numbers?  Averages over wavelength bands, beside the sphere and the truth.
 
 The bands and the rule are those of the table that `gonio fit` prints: the plain mean of a band's
-wavelengths, and half the 95 % interval of that mean with the wavelengths independent of each other.  The
+wavelengths, and half the 95 % interval of that mean (`gonio.fitting.means`).  The
 sphere and E_n are those of `gonio.sphere.compare`.  A band that would span a detector change is split there.
 """
 
@@ -13,6 +13,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from gonio.fitting.means import Column, columns_of
 from gonio.fitting.ratios import detector_ratios
 from gonio.fitting.table import BANDS
 from gonio.report.agreement import SPHERE_THETA_I_DEG, compare
@@ -60,8 +61,8 @@ def band_table(content: Content, fit: FitResult) -> list[Block]:
     for inside in bands(wavelength_nm, content.scan.detector_change_nm):
         low, high = wavelength_nm[inside[0]], wavelength_nm[inside[-1]]
         row: list[str | Markup] = [f"{low:g}–{high:g}" if high > low else f"{low:g}"]
-        for name, (value, half) in columns.items():
-            text = with_uncertainty(*_mean(value[inside], half[inside]))
+        for name, column in columns.items():
+            text = _entry(name, column, inside)
             true = _true(content, name, wavelength_nm[inside])
             row.append(Markup("{}<br><small>true {}</small>").format(text, true) if true else text)
         if comparison is not None:
@@ -74,12 +75,17 @@ def band_table(content: Content, fit: FitResult) -> list[Block]:
                 row += [with_uncertainty(100.0 * part.reference, 100.0 * part.u_sphere), _e_n(part.e_n)]
         rows.append(row)
     note = Markup(
-        "Each entry: plain mean over the wavelengths of the band ± half the 95 % interval of that mean, "
-        "the wavelengths taken as independent of each other (noise of readings, baseline and dark); the "
-        "sphere's uncertainty is taken as common to them. Errors that all wavelengths share, such as the "
-        "aperture's distance or the alignment, are not in it. No band spans a detector change. k at "
+        "Each entry: plain mean over the wavelengths of the band ± half the 95 % interval of that mean: "
+        "noise of readings, baseline and dark, independent from wavelength to wavelength; {}. The sphere's "
+        "uncertainty is taken as common to them. No band spans a detector change. k at "
         "{:g}° incidence, mean of S and P, lobe above the horizon."
-    ).format(SPHERE_THETA_I_DEG)
+    ).format(
+        "and what wavelengths share: " + ", ".join(fit.mode_names)
+        if fit.mode_names
+        else "what they share, such as the aperture's distance or the alignment, is not in it (gonio fit "
+        "--budget)",
+        SPHERE_THETA_I_DEG,
+    )
     blocks: list[Block] = [Table(head, rows, note)]
     if ratios:
         names = content.scan.detector_names
@@ -118,34 +124,23 @@ def summary_tiles(fit: FitResult) -> list[Tile]:
     columns = _columns(fit)
     tiles = []
     for name, meaning in (("k_d", "diffuse"), ("k_s", "specular"), ("k_g", "global")):
-        value, half = _mean(columns[name][0][inside], columns[name][1][inside])
-        text = with_uncertainty(value, half)
+        text = _entry(name, columns[name], inside)
         label = Markup("k<sub>{}</sub>, {} reflectance at 8°, {}").format(name[-1], meaning, where)
         tiles.append(Tile(text if text == MISSING else f"{text} %", label))
-    value, half = _mean(columns["n2"][0][inside], columns["n2"][1][inside])
     tiles.append(
-        Tile(with_uncertainty(value, half), Markup("refractive index n<sub>2</sub>, {}").format(where))
+        Tile(_entry("n2", columns["n2"], inside), Markup("refractive index n<sub>2</sub>, {}").format(where))
     )
     return tiles
 
 
-def _columns(fit: FitResult) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Return value and half 95 % interval of everything in the table, each (n_wavelength,); k in percent."""
-    found = {
-        name: (fit.value[:, i], fit.quantile * fit.se[:, i])
-        for i, name in enumerate(fit.parameters)
-        if name in HEADS  # rho_d is k_d
-    }
-    hemispherical = fit.hemispherical(theta_i_deg=SPHERE_THETA_I_DEG)
-    for name in ("k_d", "k_s", "k_g"):
-        k = getattr(hemispherical, name)
-        found[name] = (100.0 * k.value, 100.0 * fit.quantile * k.se)
-    return found
+def _columns(fit: FitResult) -> dict[str, Column]:
+    """Return everything in the table; rho_d is k_d."""
+    found = columns_of(fit, SPHERE_THETA_I_DEG)
+    return {name: found[name] for name in HEADS if name in found}
 
 
-def _mean(value: FloatArray, half: FloatArray) -> tuple[float, float]:
-    """Return the mean over the wavelengths with a value, and half its 95 % interval."""
-    known = np.isfinite(value)
-    if not np.any(known):
-        return float("nan"), float("nan")
-    return float(np.mean(value[known])), float(np.sqrt(np.sum(half[known] ** 2)) / np.sum(known))
+def _entry(name: str, column: Column, inside: NDArray[np.intp]) -> str:
+    """Return the mean over a band ± half its 95 % interval; k in percent."""
+    mean, half = column.mean(inside)
+    scale = 100.0 if name.startswith("k_") else 1.0
+    return with_uncertainty(scale * mean, scale * half)

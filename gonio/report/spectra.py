@@ -208,7 +208,7 @@ def _caption(content: Content, fit: FitResult, comparison: SphereComparison | No
     if judged:
         worst = max(judged, key=lambda part: abs(part.worst_e_n))
         text.append(
-            f"The largest disagreement is E<sub>n</sub> = {worst.worst_e_n:.2g}, on detector "
+            f"The largest disagreement is E<sub>n</sub> = {worst.worst_e_n:.2f}, on detector "
             f"{html.escape(worst.detector)}."
         )
     return " ".join(text)

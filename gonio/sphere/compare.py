@@ -21,12 +21,13 @@ wavelengths the sphere is interpolated linearly, never across its own detector c
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gonio.fitting.means import mode_shifts
 from gonio.sphere.e_n import e_n
 from gonio.sphere.stored import Sphere
 from gonio.sphere.uncertainty import COVERAGE
@@ -36,9 +37,6 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
-
-_STEP = 1e-3
-"""Fraction of a mode by which the fit is moved; a coefficient's curvature adds its square to the slope."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,7 +216,7 @@ def compare(fit: FitResult, sphere: Sphere, *, detector_names: Sequence[str] = (
     at = np.asarray(fit.wavelength_nm, np.float64)
     coefficient = getattr(fit.hemispherical(sphere.geometry.theta_i_deg), sphere.geometry.coefficient)
     value = np.asarray(coefficient.value, np.float64)
-    common = _common(fit, sphere)
+    common = mode_shifts(fit, sphere.geometry.coefficient, sphere.geometry.theta_i_deg)
     half = 0.5 * np.asarray(coefficient.upper - coefficient.lower, np.float64)
     shared = np.sum(common**2, axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -243,19 +241,6 @@ def compare(fit: FitResult, sphere: Sphere, *, detector_names: Sequence[str] = (
         side=np.array([order[key] for key in keys], np.intp),
         solid_angle_sr=float(fit.instrument.solid_angle_sr),
     )
-
-
-def _common(fit: FitResult, sphere: Sphere) -> FloatArray:
-    """Return the shift of the coefficient by one standard uncertainty of each mode, (g, m)."""
-    shifts = np.zeros((len(fit.modes), len(fit.wavelength_nm)))
-    for k, mode in enumerate(fit.modes):
-        ends = []
-        for sign in (1.0, -1.0):
-            moved = replace(fit, basic=fit.basic + sign * _STEP * np.where(np.isfinite(mode), mode, 0.0))
-            found = moved.hemispherical(sphere.geometry.theta_i_deg)
-            ends.append(getattr(found, sphere.geometry.coefficient).value)
-        shifts[k] = (ends[0] - ends[1]) / (2.0 * _STEP)
-    return shifts
 
 
 def interpolated(sphere: Sphere, values: FloatArray, at_nm: FloatArray) -> FloatArray:

@@ -95,7 +95,7 @@ def _notes(comparison: SphereComparison) -> list[str]:
     common = (
         f"U_common: {modes}"
         if modes
-        else "U_common: the fit states none (distance, size and alignment of the aperture are not in)"
+        else "U_common: none is in the fit (distance, size, alignment: gonio fit --budget)"
     )
     gap = _longest_gap(comparison)
     lines = [

@@ -11,7 +11,8 @@ from scipy import optimize, stats
 
 from gonio.errors import FitError
 from gonio.fitting import least_squares, nlparci
-from gonio.fitting.covariance_of import basic_jacobian, inverse_gram
+from gonio.fitting.columns import jacobian
+from gonio.fitting.covariance_of import inverse_gram
 from gonio.fitting.derivatives import derivatives_of
 
 T = np.linspace(0.0, 4.0, 30)
@@ -184,4 +185,4 @@ def test_jacobian_of_a_column_without_a_coefficient() -> None:
     for j in range(4):
         step = h * np.eye(4)[j]
         slope = (model.predicted(basic + step) - model.predicted(basic - step)) / (2.0 * h)
-        np.testing.assert_allclose(basic_jacobian(model, basic)[:, :, j], slope.T, atol=1e-8)
+        np.testing.assert_allclose(jacobian(model, basic)[:, :, j], slope.T, atol=1e-8)

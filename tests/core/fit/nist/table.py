@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gonio.fitting import least_squares
-from gonio.fitting.covariance_of import basic_jacobian, inverse_gram
+from gonio.fitting.columns import jacobian
+from gonio.fitting.covariance_of import inverse_gram
 from gonio.fitting.solve import refine_boldly
 
 from .problems import FloatArray, Problem, Separated, problems
@@ -55,7 +56,7 @@ def separable(p: Problem, start: int) -> Agreement:
     begin = p.starts[start][list(model.nonlinear)][None]
     found = refine_boldly(model, y, np.ones_like(y), begin)
     rss = float(found.chi2[0])
-    covariance = rss / (p.y.size - p.value.size) * inverse_gram(basic_jacobian(model, found.basic))[0]
+    covariance = rss / (p.y.size - p.value.size) * inverse_gram(jacobian(model, found.basic))[0]
     back = np.argsort(model.order)
     se = np.sqrt(np.diag(covariance))
     return _agreement(p, found.basic[0][back], se[back], rss, bool(found.converged[0]))
