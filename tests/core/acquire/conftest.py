@@ -11,6 +11,7 @@ import pytest
 
 from gonio.plan import Plan, parse_plan
 
+sys.path.insert(0, str(Path(__file__).parent))  # tests are no package; helper modules are found beside them
 _PATH = Path(__file__).with_name("memory_rig.py")
 
 

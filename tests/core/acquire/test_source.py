@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import functools
-import importlib.metadata
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
@@ -14,6 +12,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from source_walker import ABORT, PLAN, SHORT, Walker, asked_for, events, same_bits, stopped, whole
 
 import gonio
 from gonio.acquire import FaultPolicy, Runner, Snapshot, State, resume_scan
@@ -22,83 +21,9 @@ from gonio.acquire.session import Session
 from gonio.cli import main
 from gonio.devices import Quality
 from gonio.errors import MotionError, RefusedError, ScanStopped, StoreError
-from gonio.plan import Plan, Position, parse_plan
-from gonio.plan.source import Measured, PlanSource, UntilSource
+from gonio.plan import Plan, Position
+from gonio.plan.source import Measured, PlanSource
 from gonio.store.records import DecisionRecord, PositionRecord
-
-PLAN = parse_plan("""
-title = "Chosen on the way"
-[[wavelengths]]
-values_nm = [500.0, 900.0]
-[source]
-name = "python"
-[references]
-every_positions = 3
-averages = 2
-""")
-ABORT = FaultPolicy(retries=0, then="abort")
-
-
-@dataclass
-class Walker:
-    """Goes where the last readings send it, so that a wrong or missing one sends it elsewhere."""
-
-    count: int = 8
-    max_positions: int = 12
-    salt: int = 0
-    shown: list[Sequence[Measured]] = field(default_factory=list, repr=False)
-
-    name = "walker"
-
-    def next(self, measured: Sequence[Measured]) -> Position | None:
-        self.shown.append(measured)
-        index = len(measured)
-        if index == self.count:
-            return None
-        code = sum(round(1e5 * float(np.nan_to_num(found.r[0]))) for found in measured) + self.salt
-        return Position(index, 10.0 * (1 + code % 4), 30.0 + (7 * code + 13 * index) % 90, "sp"[code % 2])  # type: ignore[arg-type]
-
-
-SHORT = functools.partial(Walker, 5)
-
-
-def whole(memory: ModuleType, path: Path, source: Any = None, **world: Any) -> gonio.Scan:
-    Runner(memory.rig(memory.World(**world)), PLAN, path, source=source or Walker()).run()
-    return gonio.load(path)
-
-
-def stopped(memory: ModuleType, path: Path, done: int, source: Any = None, **world: Any) -> None:
-    def on_snapshot(snapshot: Snapshot) -> None:
-        if snapshot.done == done:
-            runner.stop()
-
-    rig = memory.rig(memory.World(**world))
-    runner = Runner(rig, PLAN, path, source=source or Walker(), on_snapshot=on_snapshot)
-    with pytest.raises(ScanStopped):
-        runner.run()
-
-
-def asked_for(scan: gonio.Scan) -> list[tuple[float, float, str]]:
-    return list(
-        zip(
-            np.round(scan.theta_i_deg - 0.002, 6).tolist(),
-            np.round(scan.theta_mes_deg + 0.003, 6).tolist(),
-            scan.polarization.tolist(),
-            strict=True,
-        )
-    )
-
-
-def events(path: Path) -> list[str]:
-    with h5py.File(path) as file:
-        return list(file["entry/events/message"].asstr()[...])
-
-
-def same_bits(a: Measured, b: Measured) -> bool:
-    return a.position == b.position and all(
-        getattr(a, name).tobytes() == getattr(b, name).tobytes()
-        for name in ("wavelength_nm", "r", "r_sd", "quality")
-    )
 
 
 def test_what_the_source_asked_for_is_what_was_measured(memory: ModuleType, tmp_path: Path) -> None:
@@ -470,53 +395,3 @@ def test_a_decision_made_by_hand_is_refused(
     journal_path(path).write_bytes(data[: next(frames(data))[0]] + encode(decision))
     with pytest.raises(StoreError, match="holds a record that this version of gonio does not know"):
         resume_scan(path, memory.rig(), source=Walker()).run()
-
-
-@pytest.mark.parametrize("references", ["every_positions = 3", "every_minutes = 0.5", ""])
-def test_the_source_that_does_not_look_is_the_plan(
-    memory: ModuleType, tmp_path: Path, references: str
-) -> None:
-    plan = parse_plan(memory.PLAN_TOML + f"[references]\n{references}\n")
-    Runner(memory.rig(), plan, tmp_path / "plan.h5").run()
-    Runner(memory.rig(), plan, tmp_path / "source.h5", source=PlanSource.of(plan)).run()
-    with h5py.File(tmp_path / "plan.h5") as one, h5py.File(tmp_path / "source.h5") as other:
-        for group in ("data", "references"):
-            assert list(one["entry"][group]) == list(other["entry"][group])
-            for name in one["entry"][group]:
-                np.testing.assert_array_equal(one["entry"][group][name], other["entry"][group][name])
-        assert set(other["entry"]) - set(one["entry"]) == {"source"}
-        assert set(one["entry"]) <= set(other["entry"])
-
-
-def test_a_plan_is_measured_until_enough_is_known(memory: ModuleType, plan: Plan, tmp_path: Path) -> None:
-    def steep(measured: Sequence[Measured]) -> bool:
-        return bool(measured[-1].r[0] > 0.037)
-
-    path = tmp_path / "scan.h5"
-    Runner(memory.rig(), plan, path, source=UntilSource.of(plan, steep)).run()
-    scan = gonio.load(path)
-    n = len(scan.position)
-    assert 0 < n < plan.n_positions
-    assert asked_for(scan) == [(p.theta_i_deg, p.theta_mes_deg, p.polarization) for p in plan.positions()[:n]]
-    assert scan.r[-1, 0] > 0.037 >= scan.r[:-1, 0].max()
-    with h5py.File(path) as file:
-        text = file["entry/source/text"].asstr()[()]
-    assert text.startswith("10 positions in the order of the plan, until test_a_plan_is_measured")
-
-
-def test_a_plan_names_an_installed_source(
-    memory: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    class Point:
-        name = "walk"
-
-        def load(self) -> Callable[..., Walker]:
-            return lambda plan, rig: Walker(count=len(plan.wavelength_nm) + 1)
-
-    plan = parse_plan(PLAN.to_toml().replace('"python"', '"walk"'))
-    assert plan.positions() == ()
-    with pytest.raises(RefusedError, match="source of positions 'walk', which is not installed; installed"):
-        Runner(memory.rig(), plan, tmp_path / "scan.h5").run()
-    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [Point()])
-    Runner(memory.rig(), plan, tmp_path / "scan.h5").run()
-    assert gonio.load(tmp_path / "scan.h5").n_planned == 3
