@@ -52,19 +52,29 @@ def models_text(scan: Scan, request: FitRequest) -> str:
 def instrument_text(result: FitResult) -> str:
     """Return what leaving out each part of the instrument function would do to these readings.
 
-    Empty for an approximate aperture, or where no lobe was found.
+    The largest change over the fitted positions, at the smallest, the middle and the largest alpha found; in
+    r it is that of the strongest diffuse part and the strongest lobe.  Empty for an approximate aperture, or
+    where no lobe was found.
     """
     alpha = result.value[:, result.of("alpha")]
     if result.aperture != "exact" or not np.any(np.isfinite(alpha)):
         return ""
-    middle = float(np.nanmedian(alpha))
+    alphas = np.nanquantile(alpha, [0.0, 0.5, 1.0])
     beam = result.beam if result.beam is not None else IncidentBeam()
     parts = leaving_out(
-        InstrumentFunction(result.instrument, beam), middle, result.theta_i_deg, result.theta_o_deg
+        InstrumentFunction(result.instrument, beam), alphas, result.theta_i_deg, result.theta_o_deg
     )
-    lines = [f"instrument function at alpha = {middle:.3g}; leaving a part out changes a reading by at most"]
+    rho_d = float(np.nanmax(result.value[:, result.of("rho_d")]))
+    # at most all of the lobe is in one polarization
+    lobe = 2.0 * float(np.nanmax(result.hemispherical(result.incidences_deg[-1]).k_s_published.value))
+    lines = [
+        f"instrument function, alpha {alphas[0]:.3g}...{alphas[2]:.3g}; leaving a part out changes a reading "
+        "by at most"
+    ]
     lines += [
-        f"  {part.part:<24}{100.0 * part.relative_lobe:>9.2g} % of the lobe's largest" for part in parts
+        f"  {part.part:<24}{100.0 * part.relative_lobe:>9.2g} % of the lobe's largest, "
+        f"{part.reading(rho_d, lobe):.1e} in r"
+        for part in parts
     ]
     if result.beam is None:
         lines.append(
