@@ -140,6 +140,16 @@ def any_stage_bench(
         yield bench
 
 
+@pytest.fixture(scope="session", params=list(STAGES))
+def instant_stage_bench(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Bench]:
+    """A bench with each kind of stage, on a clock so fast that a short move is over before the first poll."""
+    text = rig_text(clock_speed=20_000.0, stage=STAGES[request.param])
+    with running_bench(tmp_path_factory.mktemp("bench"), text) as bench:
+        yield bench
+
+
 @pytest.fixture(scope="session")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
     """A bench with Zaber stages."""
