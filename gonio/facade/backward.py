@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from gonio.facade.intersect import nearest, occluded
 from gonio.facade.layout import DIFFUSE, DIRECT, LOST, SKY, SPECULAR
 from gonio.facade.sampling import (
     MIX_B,
@@ -19,17 +20,9 @@ from gonio.facade.sampling import (
     sun_direction,
     uniform,
 )
-from gonio.facade.tracing import (
-    MAX_BOUNCES,
-    along,
-    coefficients,
-    dot,
-    lobe_density,
-    mirrored,
-    nearest,
-    on_surface,
-    row,
-)
+from gonio.facade.skylight import sky_radiance
+from gonio.facade.tracing import MAX_BOUNCES, coefficients, exponent, facing, glossy, lobe_density, point_of
+from gonio.facade.vectors import along, dot, mirrored, negative, row
 
 _LOBE_SHARE = 0.2  # of paths that try the lobe at a glossy surface
 
@@ -38,21 +31,20 @@ _LOBE_SHARE = 0.2  # of paths that try the lobe at a glossy surface
 def backward_paths(
     g: Any,
     light: Any,
-    owner: Any,
-    cell: Any,
+    patches: Any,
     directions: Any,
     seed: Any,
     replicas: int,
     window: Any,
     lobe: bool,
     out: Any,
+    exposed: Any,
 ) -> int:
     """Add paths of the units ``window[0] <= unit < window[1]`` to `out`; return the number of rays.
 
     A unit is one patch and one replica (``unit = patch * replicas + replica``) and takes the points
     ``window[2] <= i < window[3]``.  `out` (units, 5) float64 collects irradiances in W/m2, one column per
-    kind.  `owner` (patches,) is the surface and `cell` (patches, 4) the rectangle ``a0, b0, da, db`` of each
-    patch.
+    kind, and `exposed` (units,) counts the points that no coplanar primitive hides; only those have a value.
 
     Without `lobe` only diffuse reflections are followed and no path weighs more than one.  With it the lobe
     is evaluated on the reversed path: its weight cos(theta_i)/cos(theta_o) has no bound at grazing exit, so
@@ -61,22 +53,27 @@ def backward_paths(
     rays = 0
     for unit in range(window[0], window[1]):
         patch = unit // replicas
-        start = owner[patch]
+        start = patches.primitive[patch]
         key = key_of(seed, patch, unit % replicas)
         for i in range(window[2], window[3]):
             draws = mix(key ^ np.uint64(i) * MIX_B)
             counter = 0
-            a = cell[patch, 0] + cell[patch, 2] * sobol(directions, i, 0, key)
-            b = cell[patch, 1] + cell[patch, 3] * sobol(directions, i, 1, key)
             k = start
-            p = on_surface(g, k, a, b)
+            p, covered = point_of(
+                g, patches, patch, sobol(directions, i, 0, key), sobol(directions, i, 1, key)
+            )
+            if covered:
+                continue
+            exposed[unit] += 1.0
             n = row(g.normal, k)
+            if patches.back[patch] == 1:
+                n = negative(n)
             d = n  # the direction the path arrived in; the patch has none
             weight = 1.0
             kind = SKY
             bounce = 0
             while True:
-                glossy = lobe and bounce > 0 and g.material[k, 1] > 0.0
+                shiny = lobe and bounce > 0 and glossy(g, k)
                 mirror = mirrored(d, n)
                 cos_o = -dot(n, d)
                 counter += 6
@@ -86,18 +83,18 @@ def backward_paths(
                     else:
                         u, w = uniform(draws, counter), uniform(draws, counter + 1)
                     s = sun_direction(light, u, w)
-                    facing = dot(n, s)
-                    if facing > 0.0 and s[2] > 0.0:
+                    cosine = dot(n, s)
+                    if cosine > 0.0 and s[2] > 0.0:
                         rays += 1
-                        if nearest(g, light.periodic, p, s, k, True)[0] < 0:
-                            power = weight * light.dni * facing
+                        if not occluded(g, p, s, k):
+                            power = weight * light.dni * cosine
                             if bounce == 0:
                                 out[unit, DIRECT] += power
                             else:
-                                k_d, k_s = coefficients(g, k, facing, light.conserving)
+                                k_d, k_s = coefficients(g, k, cosine, light.conserving)
                                 out[unit, kind] += power * k_d
-                                if glossy:
-                                    dsf = k_s * lobe_density(dot(mirror, s), g.material[k, 2])
+                                if shiny:
+                                    dsf = k_s * lobe_density(dot(mirror, s), exponent(g, k))
                                     out[unit, SPECULAR] += power * math.pi * dsf / cos_o
                 if bounce == 0:
                     u, w = sobol(directions, i, 2, key), sobol(directions, i, 3, key)
@@ -105,16 +102,16 @@ def backward_paths(
                     u, w = sobol(directions, i, 6, key), sobol(directions, i, 7, key)
                 else:
                     u, w = uniform(draws, counter + 2), uniform(draws, counter + 3)
-                if glossy and uniform(draws, counter + 4) < _LOBE_SHARE:
-                    d = lobe_direction(mirror[0], mirror[1], mirror[2], g.material[k, 2], u, w)
-                    facing = dot(n, d)
-                    if facing <= 0.0:
+                if shiny and uniform(draws, counter + 4) < _LOBE_SHARE:
+                    d = lobe_direction(mirror[0], mirror[1], mirror[2], exponent(g, k), u, w)
+                    cosine = dot(n, d)
+                    if cosine <= 0.0:
                         break
-                    k_s = coefficients(g, k, facing, light.conserving)[1]
-                    weight *= k_s * facing / cos_o / _LOBE_SHARE
+                    k_s = coefficients(g, k, cosine, light.conserving)[1]
+                    weight *= k_s * cosine / cos_o / _LOBE_SHARE
                     kind = SPECULAR
                 else:
-                    if glossy:
+                    if shiny:
                         weight /= 1.0 - _LOBE_SHARE
                     d = cosine_direction(n, u, w)
                     k_d = 1.0 if bounce == 0 else coefficients(g, k, dot(n, d), light.conserving)[0]
@@ -125,14 +122,13 @@ def backward_paths(
                 if weight == 0.0:
                     break
                 rays += 1
-                hit, t, _, _ = nearest(g, light.periodic, p, d, k, False)
+                hit, t, _, _ = nearest(g, p, d, k)
                 if hit < 0:
-                    if d[2] > 0.0:
-                        out[unit, kind] += weight * light.dhi
+                    out[unit, kind] += weight * math.pi * sky_radiance(light, d)
                     break
-                n = row(g.normal, hit)
-                if dot(n, d) >= 0.0:
-                    break  # the black side
+                n, back = facing(g, hit, d)
+                if back < 0:
+                    break
                 bounce += 1
                 if bounce > MAX_BOUNCES:
                     out[unit, LOST] += weight * (light.dhi + light.dni)

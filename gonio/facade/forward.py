@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from gonio.facade.intersect import nearest, occluded
 from gonio.facade.layout import ABSORBED, CREATED, EMITTED, ESCAPED, UNDER_HORIZON, UNFINISHED
 from gonio.facade.sampling import (
     MIX_A,
@@ -20,44 +21,55 @@ from gonio.facade.sampling import (
     sun_direction,
     uniform,
 )
-from gonio.facade.tracing import MAX_BOUNCES, along, coefficients, dot, mirrored, nearest, on_surface, row
+from gonio.facade.skylight import sky_radiance
+from gonio.facade.tracing import MAX_BOUNCES, coefficients, exponent, facing, hidden, on_surface, patch_at
+from gonio.facade.vectors import along, dot, mirrored, negative, row
 
 
 @compiled
 def _first_light(g: Any, light: Any, directions: Any, i: int, key: Any, chance: Any, from_sky: bool) -> Any:
-    """Return ``(power, surface, point, direction towards the light)`` of point `i`; power 0 in the shade.
+    """Return ``(power, primitive, point, normal, direction towards the light)`` of point `i`; 0 in the shade.
 
-    Points are drawn on the surfaces themselves with the cumulative probabilities `chance` (n,).
+    Points are drawn on the primitives' sides with the cumulative probabilities `chance` (2 m,): side 0 and 1
+    of the first, of the second, ...
     """
     u = sobol(directions, i, 0, key)
-    k = np.searchsorted(chance, u, side="right")
-    k = min(k, chance.shape[0] - 1)
-    below = chance[k - 1] if k > 0 else 0.0
-    share = chance[k] - below
-    a = (u - below) / share  # what is left of the number that chose the surface is uniform again
-    p = on_surface(g, k, a, sobol(directions, i, 1, key))
+    at = np.searchsorted(chance, u, side="right")
+    at = min(at, chance.shape[0] - 1)
+    below = chance[at - 1] if at > 0 else 0.0
+    share = chance[at] - below
+    a = (u - below) / share  # what is left of the number that chose the side is uniform again
+    b = sobol(directions, i, 1, key)
+    k = at // 2
+    if g.triangle[k] == 1 and a + b > 1.0:
+        a = 1.0 - a
+        b = 1.0 - b
+    p = on_surface(g, k, a, b)
     n = row(g.normal, k)
+    if at % 2 == 1:
+        n = negative(n)
     v = sobol(directions, i, 2, key)
     w = sobol(directions, i, 3, key)
     if from_sky:
         d = cosine_direction(n, v, w)
-        power = light.dhi * g.area[k] / share
+        power = math.pi * sky_radiance(light, d) * g.area[k] / share
     else:
         d = sun_direction(light, v, w)
         power = light.dni * dot(n, d) * g.area[k] / share
     if power <= 0.0 or d[2] <= 0.0 or dot(n, d) <= 0.0:
-        return 0.0, k, p, d
-    if nearest(g, light.periodic, p, d, k, True)[0] >= 0:
+        return 0.0, k, p, n, d
+    if hidden(g, k, p) or occluded(g, p, d, k):
         power = 0.0
-    return power, k, p, d
+    return power, k, p, n, d
 
 
 @compiled
-def _reflected_by_lobe(g: Any, light: Any, k: int, incoming: Any, u: float, w: float, draws: Any) -> Any:
+def _reflected_by_lobe(
+    g: Any, light: Any, k: int, n: Any, incoming: Any, u: float, w: float, draws: Any
+) -> Any:
     """Return ``(direction, above the horizon)`` of light that arrives along `incoming` and takes the lobe."""
-    n = row(g.normal, k)
     m = mirrored(incoming, n)
-    alpha = g.material[k, 2]
+    alpha = exponent(g, k)
     d = lobe_direction(m[0], m[1], m[2], alpha, u, w)
     if light.renormalize:
         # At least half of the lobe is above the horizon, so this ends after two tries or so.
@@ -77,22 +89,18 @@ def _follow(
     rays = 0
     while rays < MAX_BOUNCES:
         rays += 1
-        hit, t, a, b = nearest(g, light.periodic, p, d, k, False)
+        hit, t, a, b = nearest(g, p, d, k)
         if hit < 0:
             energy[ESCAPED] += power
             return rays
-        n = row(g.normal, hit)
-        cosine = -dot(n, d)
-        if cosine <= 0.0:
+        n, back = facing(g, hit, d)
+        if back < 0:
             energy[ABSORBED] += power
             return rays
-        first, rows, columns = row(g.patch, hit)
-        if first >= 0:
-            if light.periodic:
-                a -= math.floor(a)
-            line = min(max(int(b * rows), 0), rows - 1)
-            column = min(max(int(a * columns), 0), columns - 1)
-            tally[first + line * columns + column] += power
+        cosine = -dot(n, d)
+        patch = patch_at(g, hit, back, a, b)
+        if patch >= 0:
+            tally[patch] += power
         p = along(p, t, d)
         k = hit
         k_d, k_s = coefficients(g, k, cosine, light.conserving)
@@ -110,7 +118,7 @@ def _follow(
             return rays
         u, w = uniform(draws, at + 1), uniform(draws, at + 2)
         if choice < k_s:
-            d, above = _reflected_by_lobe(g, light, k, d, u, w, mix(draws ^ np.uint64(at)))
+            d, above = _reflected_by_lobe(g, light, k, n, d, u, w, mix(draws ^ np.uint64(at)))
             if not above:
                 energy[ABSORBED] += power
                 energy[UNDER_HORIZON] += power
@@ -149,7 +157,7 @@ def forward_photons(
         own_energy = energy[replica]
         for i in range(window[2], window[3]):
             rays += 1
-            power, k, p, towards = _first_light(g, light, directions, i, key, chance, from_sky)
+            power, k, p, n, towards = _first_light(g, light, directions, i, key, chance, from_sky)
             if power == 0.0:
                 continue
             own_energy[EMITTED] += power
@@ -157,7 +165,6 @@ def forward_photons(
             d = (-towards[0], -towards[1], -towards[2])
             bounce = 0
             while True:
-                n = row(g.normal, k)
                 k_d, k_s = coefficients(g, k, -dot(n, d), light.conserving)
                 at = 8 * bounce
                 child = mix(draws + np.uint64(at) * MIX_A)
@@ -166,7 +173,7 @@ def forward_photons(
                         u, w = sobol(directions, i, 4, key), sobol(directions, i, 5, key)
                     else:
                         u, w = uniform(child, 1), uniform(child, 2)
-                    out, above = _reflected_by_lobe(g, light, k, d, u, w, child)
+                    out, above = _reflected_by_lobe(g, light, k, n, d, u, w, child)
                     if above:
                         rays += _follow(g, light, k, p, out, power * k_s, child, own_tally, own_energy)
                     else:
@@ -188,11 +195,12 @@ def forward_photons(
                     u, w = uniform(child, 4), uniform(child, 5)
                 d = cosine_direction(n, u, w)
                 rays += 1
-                hit, t, _, _ = nearest(g, light.periodic, p, d, k, False)
+                hit, t, _, _ = nearest(g, p, d, k)
                 if hit < 0:
                     own_energy[ESCAPED] += power
                     break
-                if dot(row(g.normal, hit), d) >= 0.0:
+                n, back = facing(g, hit, d)
+                if back < 0:
                     own_energy[ABSORBED] += power
                     break
                 p = along(p, t, d)

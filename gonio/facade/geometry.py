@@ -1,4 +1,4 @@
-"""Where are the surfaces?  Streets, boxes, and the tree that finds what a ray hits.
+"""Where are the surfaces?  Rectangles, meshes, streets, boxes.
 
 World coordinates in metres: x east, y north, z up.  Azimuths are clockwise from north.  A `Surface` is the
 rectangle ``origin + a u + b v``, 0 <= a, b <= 1; its reflecting side is where ``u x v`` points, or the other
@@ -19,13 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.errors import SceneError
-from gonio.facade.layout import Surfaces
 from gonio.facade.optics import Optics
 
 FloatArray = NDArray[np.float64]
 Vector = tuple[float, float, float]
-
-_LEAF = 4  # surfaces that share a leaf of the tree
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +37,7 @@ class Surface:
     rows: int = 0
     columns: int = 0
     turned: bool = False
+    sides: int = 1
 
     @property
     def area_m2(self) -> float:
@@ -51,6 +49,29 @@ class Surface:
         """Unit normal of the reflecting side, (3,)."""
         n = np.cross(self.u_m, self.v_m)
         return np.asarray((-n if self.turned else n) / np.linalg.norm(n))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """Opaque triangles; with `receiver` every face is a patch of the result, on its front.
+
+    Parameters
+    ----------
+    vertices_m, faces
+        (k, 3) float64 in metres, and (f, 3) int64; the front is where the vertices run counter-clockwise.
+    materials, face_material
+        Names, and the number of the name for each face, (f,) int64.
+    sides
+        2: both sides reflect; 1: the back is black.
+    """
+
+    name: str
+    vertices_m: FloatArray
+    faces: NDArray[np.int64]
+    materials: tuple[str, ...]
+    face_material: NDArray[np.int64]
+    receiver: bool = False
+    sides: int = 1
 
 
 def heading(azimuth_deg: float) -> Vector:
@@ -161,114 +182,3 @@ def check(surfaces: Sequence[Surface], materials: Mapping[str, Optics], *, perio
                     f"surface '{s.name}' does not run along the infinite street for the length of its cell; "
                     "set street.infinite = false to mix the street with other bodies"
                 )
-
-
-def pack(
-    surfaces: Sequence[Surface], materials: Mapping[str, Optics], *, periodic: bool
-) -> tuple[Surfaces, list[int]]:
-    """Return the surfaces as the kernels want them, and the order in which they are stored.
-
-    The first patch of each receiver is numbered in the order of `surfaces`, not of storage.
-    """
-    origin, u, v = (
-        np.array([getattr(s, key) for s in surfaces], dtype=np.float64).reshape(-1, 3)
-        for key in ("origin_m", "u_m", "v_m")
-    )
-    corners = np.stack([origin, origin + u, origin + v, origin + u + v], axis=1)
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    margin = (
-        1e-8 * np.maximum(np.linalg.norm(u, axis=1), np.linalg.norm(v, axis=1))[:, None]
-    )  # as the kernels' edges
-    low, high = low - margin, high + margin
-    if periodic:
-        low, high = np.full_like(low, -np.inf), np.full_like(high, np.inf)
-    boxes, links, order = _tree(low, high)
-
-    first, patch = 0, np.full((len(surfaces), 3), -1, dtype=np.int64)
-    for i, s in enumerate(surfaces):
-        if s.rows > 0:
-            patch[i] = first, s.rows, s.columns
-            first += s.rows * s.columns
-
-    cross = np.cross(u, v).reshape(-1, 3)
-    area = np.linalg.norm(cross, axis=1)
-    normal = cross / area[:, None]
-    dual_u = np.cross(v, normal) / area[:, None]
-    dual_v = np.cross(normal, u) / area[:, None]
-    normal[[s.turned for s in surfaces]] *= -1.0
-    optics = [materials[s.material] for s in surfaces]
-    material = np.array([(m.rho_d, m.rho_s, m.alpha, m.n2) for m in optics], dtype=np.float64).reshape(-1, 4)
-
-    def stored(array: FloatArray) -> FloatArray:
-        return np.ascontiguousarray(array[order])
-
-    return (
-        Surfaces(
-            origin=stored(origin),
-            u=stored(u),
-            v=stored(v),
-            normal=stored(normal),
-            dual_u=stored(dual_u),
-            dual_v=stored(dual_v),
-            area=stored(area),
-            material=stored(material),
-            patch=np.ascontiguousarray(patch[order]),
-            low=np.ascontiguousarray(boxes[:, 0]),
-            high=np.ascontiguousarray(boxes[:, 1]),
-            link=links,
-        ),
-        [int(i) for i in order],
-    )
-
-
-def _tree(low: FloatArray, high: FloatArray) -> tuple[FloatArray, NDArray[np.int64], NDArray[np.int64]]:
-    """Return boxes (nodes, 2, 3), links (nodes, 3) and the order of the surfaces, depth first.
-
-    Every node is split where the surface area heuristic (sum of child area times child count) is least.
-    """
-    boxes: list[FloatArray] = []
-    links: list[list[int]] = []
-    order: list[int] = []
-
-    def build(members: NDArray[np.int64]) -> None:
-        node = len(boxes)
-        boxes.append(np.array([low[members].min(axis=0), high[members].max(axis=0)]))
-        links.append([0, 0, 0])
-        if len(members) <= _LEAF or not np.all(np.isfinite(boxes[node])):
-            links[node][1:] = [len(order), len(members)]
-            order.extend(int(m) for m in members)
-        else:
-            for part in _best_split(members, low, high):
-                build(part)
-        links[node][0] = len(boxes)
-
-    if len(low):
-        build(np.arange(len(low), dtype=np.int64))
-    return (
-        np.array(boxes, dtype=np.float64).reshape(-1, 2, 3),
-        np.array(links, dtype=np.int64).reshape(-1, 3),
-        np.array(order, dtype=np.int64),
-    )
-
-
-def _best_split(
-    members: NDArray[np.int64], low: FloatArray, high: FloatArray
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    count = len(members)
-    best_cost, best = math.inf, (members[: count // 2], members[count // 2 :])
-    for axis in range(3):
-        ordered = members[np.argsort(low[members, axis] + high[members, axis], kind="stable")]
-        ahead = _half_areas(low[ordered], high[ordered])
-        behind = _half_areas(low[ordered[::-1]], high[ordered[::-1]])[::-1]
-        left = np.arange(1, count)
-        cost = ahead[:-1] * left + behind[1:] * (count - left)
-        at = int(np.argmin(cost))
-        if cost[at] < best_cost:
-            best_cost, best = float(cost[at]), (ordered[: at + 1], ordered[at + 1 :])
-    return best
-
-
-def _half_areas(low: FloatArray, high: FloatArray) -> FloatArray:
-    """Half the surface area of the box around the first 1, 2, ... members, (n,)."""
-    d = np.maximum.accumulate(high, axis=0) - np.minimum.accumulate(low, axis=0)
-    return np.asarray(d[:, 0] * d[:, 1] + d[:, 1] * d[:, 2] + d[:, 2] * d[:, 0])

@@ -14,8 +14,7 @@ from numba import njit
 
 from gonio.facade import backward as _backward
 from gonio.facade import forward as _forward
-from gonio.facade import sampling as _sampling
-from gonio.facade import tracing as _tracing
+from gonio.facade import intersect, layout, sampling, skylight, tracing, vectors
 
 _paths = _backward.backward_paths
 _photons = _forward.forward_photons
@@ -23,7 +22,7 @@ _photons = _forward.forward_photons
 
 def _digest() -> int:
     total = hashlib.sha256()
-    for module in (_sampling, _tracing, _backward, _forward):
+    for module in (layout, sampling, vectors, intersect, skylight, tracing, _backward, _forward):
         if module.__file__ is not None and Path(module.__file__).is_file():
             total.update(Path(module.__file__).read_bytes())
     return int.from_bytes(total.digest()[:7], "big")
@@ -31,10 +30,10 @@ def _digest() -> int:
 
 def _entry_points(digest: int) -> tuple[Any, Any]:
     @njit(cache=True, nogil=True, error_model="numpy")
-    def backward(g, light, owner, cell, directions, seed, replicas, window, lobe, out):  # type: ignore[no-untyped-def]
+    def backward(g, light, patches, directions, seed, replicas, window, lobe, out, exposed):  # type: ignore[no-untyped-def]
         if digest < 0:
             return 0
-        return _paths(g, light, owner, cell, directions, seed, replicas, window, lobe, out)
+        return _paths(g, light, patches, directions, seed, replicas, window, lobe, out, exposed)
 
     @njit(cache=True, nogil=True, error_model="numpy")
     def forward(g, light, chance, directions, seed, stream, from_sky, window, tally, energy):  # type: ignore[no-untyped-def]

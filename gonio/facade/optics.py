@@ -29,6 +29,8 @@ class EnergyWarning(UserWarning):
 class Optics:
     """Band-averaged parameters of the model; a Lambert surface has ``rho_s = 0``.
 
+    With `constant` the lobe returns `rho_s` at every incidence, as two hemispherical coefficients say.
+
     Raises
     ------
     SceneError
@@ -39,6 +41,7 @@ class Optics:
     rho_s: float = 0.0
     alpha: float = 1.0
     n2: float = 1.0
+    constant: bool = False
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -65,10 +68,14 @@ class Optics:
             return cls(rho_d)
         return cls(rho_d, rho_s, alpha, n2)
 
+    def row(self) -> tuple[float, float, float, float, float]:
+        """Return the row of `gonio.facade.layout.Geometry.materials`."""
+        return self.rho_d, self.rho_s, self.alpha, self.n2, float(self.constant)
+
     def k_s(self, theta_i_deg: ArrayLike) -> FloatArray:
         """Return ``rho_s R(n2, theta_i)`` of unpolarised light (paper Eq 20): the lobe, horizon or not."""
-        if self.rho_s == 0.0:
-            return np.zeros(np.shape(theta_i_deg))
+        if self.rho_s == 0.0 or self.constant:
+            return np.full(np.shape(theta_i_deg), self.rho_s)
         from gonio.fresnel import reflectance
 
         return np.asarray(self.rho_s * reflectance(self.n2, theta_i_deg, "unpolarized"))

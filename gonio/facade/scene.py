@@ -9,7 +9,7 @@ from pathlib import Path
 from gonio.config import parse_toml, read_toml, validate
 from gonio.errors import GonioError, SceneError
 from gonio.facade import geometry
-from gonio.facade.geometry import Surface
+from gonio.facade.geometry import Mesh, Surface
 from gonio.facade.optics import Energy, Horizon, Optics, excess_text
 from gonio.facade.scene_file import MaterialTable, SceneTable
 from gonio.facade.sun import Site, Sun, clear_sky, sun_at
@@ -54,6 +54,7 @@ class Scene:
     horizon: Horizon = "absorb"
     text: str = ""
     notes: tuple[str, ...] = field(default=())
+    meshes: tuple[Mesh, ...] = ()
 
     def __post_init__(self) -> None:
         geometry.check(self.surfaces, self.materials, periodic=self.infinite)

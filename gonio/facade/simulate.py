@@ -25,9 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.errors import ConfigError, SceneError
-from gonio.facade import geometry, layout
-from gonio.facade.layout import Light, Surfaces
+from gonio.facade import layout
+from gonio.facade.layout import Geometry, Light
 from gonio.facade.optics import EnergyWarning, excess_text
+from gonio.facade.pack import pack
 from gonio.facade.result import CONTRIBUTIONS, EnergyBalance, Estimate, Irradiance, Receiver
 from gonio.facade.scene import Scene
 from gonio.facade.sobol import sobol_directions
@@ -159,26 +160,25 @@ class _Run:
         self.threads = threads
         self.progress: Progress = progress or (lambda _done, _text: None)
         self.whole = whole
-        self.g, order = geometry.pack(scene.surfaces, scene.materials, periodic=scene.infinite)
+        packed = pack(scene.surfaces, scene.materials, meshes=scene.meshes, periodic=scene.infinite)
+        self.g, self.patches = packed.geometry, packed.patches
         self.light = Light(
             sun=np.array(scene.sun.direction),
             disc=2.0 * np.sin(np.radians(scene.sun.angular_diameter_deg) / 4.0) ** 2,
             dni=scene.direct_w_m2,
             dhi=float(scene.dhi_w_m2),
+            sky=np.array([scene.dhi_w_m2 / np.pi, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]),
             conserving=scene.energy == "conserving",
             renormalize=scene.horizon == "renormalize",
-            periodic=scene.infinite,
         )
         self.directions = sobol_directions()
-        self.owner, self.cell = _patches(scene, order)
-        self.area_m2 = np.concatenate(
-            [np.full(s.rows * s.columns, s.area_m2 / (s.rows * s.columns)) for s in scene.receivers]
-        )
-        count = len(self.owner)
+        self.area_m2 = self.patches.area
+        count = len(self.area_m2)
         self.back = _Part(16, np.zeros((count * REPLICAS, 5)))
+        self.exposed = np.zeros(count * REPLICAS)
         self.sun_chance = _chances(self.g, self.light, from_sky=False)
         self.sky_chance = _chances(self.g, self.light, from_sky=True)
-        glossy = bool(np.any(self.g.material[:, 1] > 0.0)) and not whole
+        glossy = bool(np.any(self.g.materials[self.g.optics, layout.RHO_S] > 0.0)) and not whole
         self.sun = (
             _Part(4096, np.zeros((REPLICAS, count))) if glossy and self.sun_chance is not None else None
         )
@@ -237,8 +237,8 @@ class _Run:
     def _backward(self, kernels: Any, window: tuple[int, int, int, int]) -> int:
         return int(
             kernels.backward(
-                self.g, self.light, self.owner, self.cell, self.directions, self.seed, REPLICAS, window,
-                self.whole, self.back.sums,
+                self.g, self.light, self.patches, self.directions, self.seed, REPLICAS, window,
+                self.whole, self.back.sums, self.exposed,
             )
         )  # fmt: skip
 
@@ -263,7 +263,7 @@ class _Run:
 
     def _replicas(self) -> dict[str, FloatArray]:
         """Return each contribution per replica, (patches, replicas), W/m2."""
-        sums = self.back.sums.reshape(len(self.owner), REPLICAS, 5) / self.back.done
+        sums = self._gathered()
         parts = dict(zip(CONTRIBUTIONS, np.moveaxis(sums, 2, 0), strict=False))
         specular = parts["specular"]
         for part in (self.sun, self.sky):
@@ -271,13 +271,18 @@ class _Run:
                 specular = specular + self._tallied(part)
         return {**parts, "specular": specular}
 
+    def _gathered(self) -> FloatArray:
+        """Return what backward paths collect, (patches, replicas, 5), W/m2; 0 where a patch is hidden."""
+        exposed = np.maximum(self.exposed, 1.0)[:, None]
+        return np.asarray((self.back.sums / exposed).reshape(-1, REPLICAS, 5))
+
     def _tallied(self, part: _Part) -> FloatArray:
         return np.asarray(part.sums.T / part.done / self.area_m2[:, None])
 
     def _relative_variances(self) -> list[float]:
         """Return the square of the relative error of the receiver that needs most, by part of the engine."""
         total = np.asarray(sum(self._replicas().values())).mean(axis=1)
-        own = [self.back.sums.reshape(len(self.owner), REPLICAS, 5)[:, :, :4].sum(axis=2) / self.back.done]
+        own = [self._gathered()[:, :, :4].sum(axis=2)]
         own += [self._tallied(p) for p in (self.sun, self.sky) if p is not None]
         variances = [_standard_error(x) ** 2 for x in own]
         worst = [0.0 for _ in own]
@@ -332,11 +337,11 @@ class _Run:
 
     def lost_w_m2(self) -> float:
         """Return what given-up paths may have carried at most, the worst patch, W/m2."""
-        sums = self.back.sums.reshape(len(self.owner), REPLICAS, 5)[:, :, layout.LOST]
+        sums = self._gathered()[:, :, layout.LOST]
         photons = sum(
             float(p.energy[:, layout.UNFINISHED].sum()) / (p.done * REPLICAS) for p in self._parts()
         )
-        return float(np.max(sums.mean(axis=1)) / self.back.done + photons / np.min(self.area_m2))
+        return float(np.max(sums.mean(axis=1)) + photons / np.min(self.area_m2))
 
 
 def _standard_error(replicas: FloatArray) -> FloatArray:
@@ -344,36 +349,22 @@ def _standard_error(replicas: FloatArray) -> FloatArray:
     return np.asarray(replicas.std(axis=-1, ddof=1) / np.sqrt(replicas.shape[-1]))
 
 
-def _patches(scene: Scene, order: list[int]) -> tuple[NDArray[np.int64], FloatArray]:
-    """Return for every patch the stored number of its surface, and its rectangle ``a0, b0, da, db``."""
-    stored = {scene.surfaces[i].name: k for k, i in enumerate(order)}
-    owner: list[int] = []
-    cell: list[tuple[float, float, float, float]] = []
-    for s in scene.receivers:
-        owner += [stored[s.name]] * (s.rows * s.columns)
-        cell += [
-            (column / s.columns, row / s.rows, 1.0 / s.columns, 1.0 / s.rows)
-            for row in range(s.rows)
-            for column in range(s.columns)
-        ]
-    return np.array(owner, dtype=np.int64), np.array(cell, dtype=np.float64)
-
-
-def _chances(g: Surfaces, light: Light, *, from_sky: bool) -> FloatArray | None:
-    """Return the cumulative probabilities with which photons start on the surfaces; ``None`` without light.
+def _chances(g: Geometry, light: Light, *, from_sky: bool) -> FloatArray | None:
+    """Return the cumulative probabilities of the sides to start a photon, (2 m,); ``None`` without light.
 
     In proportion to the power a surface can receive; a matte one counts a quarter, because its photons must
     first find a lobe.  A surface seen edge-on by the centre of the sun still gets the part of the disc it
     sees.
     """
+    normal = np.stack([g.normal, -g.normal], axis=1)  # (m, 2, 3): both sides
     if from_sky:
-        weight = g.area * (0.5 + 0.5 * g.normal[:, 2]) if light.dhi > 0.0 else np.zeros(len(g.area))
-    elif light.dni > 0.0:
-        rim = np.sqrt(light.disc * (2.0 - light.disc))
-        weight = g.area * np.maximum(0.0, g.normal @ light.sun + rim)
+        weight = (0.5 + 0.5 * normal[:, :, 2]) * (light.dhi > 0.0)
     else:
-        weight = np.zeros(len(g.area))
-    weight = weight * np.where(g.material[:, 1] > 0.0, 1.0, 0.25)
+        rim = np.sqrt(light.disc * (2.0 - light.disc))
+        weight = np.maximum(0.0, normal @ light.sun + rim) * (light.dni > 0.0)
+    weight[g.sides == 1, 1] = 0.0
+    shiny = g.materials[g.optics, layout.RHO_S] > 0.0
+    weight = (weight * (g.area * np.where(shiny, 1.0, 0.25))[:, None]).ravel()
     if not np.any(weight > 0.0):
         return None
     chance = np.cumsum(weight)

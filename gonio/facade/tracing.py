@@ -1,9 +1,4 @@
-"""What does a ray hit, and how much of the light is reflected there?
-
-Surfaces are parallelograms ``o + a u + b v`` with ``0 <= a, b <= 1``; in a periodic scene every ``u`` lies
-along the street and ``a`` is unlimited, so that one stored cell stands for an endless street.  The normal ``u
-x v`` points to the reflecting side, the other side is black.  All geometry is float64, and a ray skips the
-surface it starts on, so there is no offset to tune.
+"""How much of the light is reflected where a ray hits, and to which patch does the place belong?
 
 Light is unpolarised at every reflection (R is the mean of S and P).  A material is ``(rho_d, rho_s, alpha,
 n2)`` and redistributes the incident power as it was fitted (a differential scattering function, not a BRDF):
@@ -18,11 +13,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from gonio.facade.layout import ALPHA, CONSTANT, N2, RHO_D, RHO_S
 from gonio.facade.sampling import compiled
+from gonio.facade.vectors import along, dot, negative, row
 
 MAX_BOUNCES = 10_000
-
-_EDGE = 1e-9  # in units of the edge length: surfaces that share an edge overlap a little instead of leaking
 
 
 @compiled
@@ -42,19 +37,95 @@ def fresnel_mean(cosine: float, n2: float) -> float:
 
 @compiled
 def coefficients(g: Any, k: int, cosine: float, conserving: bool) -> Any:
-    """Return ``(k_d, k_s)`` of surface `k` at incidence `cosine`.
+    """Return ``(k_d, k_s)`` of primitive `k` at incidence `cosine`.
 
     Conserving: the diffuse part takes what the lobe leaves; otherwise both are as published, whatever their
     sum.
     """
-    k_d = g.material[k, 0]
-    k_s = 0.0
-    if g.material[k, 1] > 0.0:
-        k_s = g.material[k, 1] * fresnel_mean(cosine, g.material[k, 3])
+    m = g.optics[k]
+    k_d = g.materials[m, RHO_D]
+    k_s = g.materials[m, RHO_S]
+    if k_s > 0.0 and g.materials[m, CONSTANT] == 0.0:
+        k_s *= fresnel_mean(cosine, g.materials[m, N2])
     if conserving:
         k_s = min(k_s, 1.0)
         k_d = min(k_d, 1.0 - k_s)
     return k_d, k_s
+
+
+@compiled
+def glossy(g: Any, k: int) -> bool:
+    """Say whether primitive `k` has a lobe."""
+    return g.materials[g.optics[k], RHO_S] > 0.0  # type: ignore[no-any-return]
+
+
+@compiled
+def exponent(g: Any, k: int) -> float:
+    """Return alpha of primitive `k`."""
+    return g.materials[g.optics[k], ALPHA]  # type: ignore[no-any-return]
+
+
+@compiled
+def facing(g: Any, k: int, d: Any) -> Any:
+    """Return ``(normal, back)`` of the side of `k` that light along `d` meets; back -1: it is black."""
+    n = row(g.normal, k)
+    if dot(n, d) < 0.0:
+        return n, 0
+    if g.sides[k] == 2:
+        return negative(n), 1
+    return n, -1
+
+
+@compiled
+def patch_at(g: Any, k: int, back: int, a: float, b: float) -> int:
+    """Return the patch of the point ``(a, b)`` of primitive `k`, -1 if it has none."""
+    first = g.patch[k, back, 0]
+    if first < 0:
+        return -1
+    rows = g.patch[k, back, 1]
+    columns = g.patch[k, back, 2]
+    i = min(max(int(a * columns), 0), columns - 1)
+    j = min(max(int(b * rows), 0), rows - 1)
+    if g.triangle[k] == 0:
+        return first + j * columns + i  # type: ignore[no-any-return]
+    j = min(j, rows - 1 - i)
+    head = 1 if (a * columns - i) + (b * rows - j) > 1.0 and j < rows - 1 - i else 0
+    return first + i * (2 * rows - i) + 2 * j + head  # type: ignore[no-any-return]
+
+
+@compiled
+def point_of(g: Any, patches: Any, i: int, s: float, t: float) -> Any:
+    """Return ``(point, hidden)`` at ``(s, t)``, each uniform in 0...1, of patch `i`.
+
+    On a triangle the unit square is folded along its diagonal.  Hidden points lie under a coplanar primitive.
+    """
+    k = patches.primitive[i]
+    if g.triangle[k] == 1 and s + t > 1.0:
+        s = 1.0 - s
+        t = 1.0 - t
+    a = patches.cell[i, 0] + s * patches.cell[i, 2]
+    b = patches.cell[i, 1] + t * patches.cell[i, 3]
+    p = on_surface(g, k, a, b)
+    return p, hidden(g, k, p)
+
+
+@compiled
+def hidden(g: Any, k: int, p: Any) -> bool:
+    """Say whether the point `p` of primitive `k` lies under another one of its plane."""
+    for at in range(g.cover_first[k], g.cover_first[k + 1]):
+        other = g.cover[at]
+        r = (p[0] - g.origin[other, 0], p[1] - g.origin[other, 1], p[2] - g.origin[other, 2])
+        a = dot(row(g.dual_u, other), r)
+        b = dot(row(g.dual_v, other), r)
+        if a >= 0.0 and b >= 0.0 and a <= 1.0 and b <= 1.0 and (g.triangle[other] == 0 or a + b <= 1.0):
+            return True
+    return False
+
+
+@compiled
+def on_surface(g: Any, k: int, a: float, b: float) -> Any:
+    """Return the point ``o + a u + b v`` of primitive `k`."""
+    return along(along(row(g.origin, k), a, row(g.u, k)), b, row(g.v, k))
 
 
 @compiled
@@ -63,95 +134,3 @@ def lobe_density(cosine_s: float, alpha: float) -> float:
     if cosine_s <= 0.0:
         return 0.0
     return (alpha + 1.0) / (2.0 * math.pi) * math.exp(alpha * math.log(min(cosine_s, 1.0)))
-
-
-@compiled
-def dot(a: Any, b: Any) -> float:
-    """Return the scalar product of two vectors."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]  # type: ignore[no-any-return]
-
-
-@compiled
-def along(p: Any, t: float, d: Any) -> Any:
-    """Return ``p + t d``."""
-    return p[0] + t * d[0], p[1] + t * d[1], p[2] + t * d[2]
-
-
-@compiled
-def mirrored(d: Any, n: Any) -> Any:
-    """Return the direction `d` mirrored at a plane of unit normal `n`."""
-    t = 2.0 * dot(d, n)
-    return d[0] - t * n[0], d[1] - t * n[1], d[2] - t * n[2]
-
-
-@compiled
-def row(array: Any, k: int) -> Any:
-    """Return row `k` of an (n, 3) array as three numbers (a view would count references in every thread)."""
-    return array[k, 0], array[k, 1], array[k, 2]
-
-
-@compiled
-def on_surface(g: Any, k: int, a: float, b: float) -> Any:
-    """Return the point ``o + a u + b v`` of surface `k`."""
-    return along(along(row(g.origin, k), a, row(g.u, k)), b, row(g.v, k))
-
-
-@compiled
-def _enters(g: Any, node: int, p: Any, inverse: Any, farthest: float) -> bool:
-    enter = 0.0
-    leave = farthest
-    for axis in range(3):
-        one = (g.low[node, axis] - p[axis]) * inverse[axis]
-        two = (g.high[node, axis] - p[axis]) * inverse[axis]
-        # 0 * inf, a ray inside the plane of a side: NaN fails both comparisons and limits nothing
-        if one < two:
-            enter = one if one > enter else enter
-            leave = two if two < leave else leave
-        elif two <= one:
-            enter = two if two > enter else enter
-            leave = one if one < leave else leave
-    return enter <= leave
-
-
-@compiled
-def nearest(g: Any, periodic: bool, p: Any, d: Any, own: int, any_hit: bool) -> Any:
-    """Return ``(surface or -1, distance, a, b)`` of the nearest hit, or of the first found with `any_hit`.
-
-    `own` is the surface the ray starts on, -1 for none.
-    """
-    best = math.inf
-    found = -1
-    best_a = 0.0
-    best_b = 0.0
-    inverse = (1.0 / d[0], 1.0 / d[1], 1.0 / d[2])
-    node = 0
-    nodes = g.low.shape[0]
-    while node < nodes:
-        if not _enters(g, node, p, inverse, best):
-            node = g.link[node, 0]
-            continue
-        first = g.link[node, 1]
-        for k in range(first, first + g.link[node, 2]):
-            if k == own:
-                continue
-            n = row(g.normal, k)
-            o = row(g.origin, k)
-            slope = dot(n, d)
-            if slope == 0.0:
-                continue
-            t = (n[0] * (o[0] - p[0]) + n[1] * (o[1] - p[1]) + n[2] * (o[2] - p[2])) / slope
-            if t <= 0.0 or t >= best:
-                continue
-            x = along(p, t, d)
-            r = (x[0] - o[0], x[1] - o[1], x[2] - o[2])
-            b = dot(row(g.dual_v, k), r)
-            if b < -_EDGE or b > 1.0 + _EDGE:
-                continue
-            a = dot(row(g.dual_u, k), r)
-            if not periodic and (a < -_EDGE or a > 1.0 + _EDGE):
-                continue
-            best, found, best_a, best_b = t, k, a, b
-            if any_hit:
-                return found, best, best_a, best_b
-        node += 1
-    return found, best, best_a, best_b

@@ -1,14 +1,23 @@
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
 from gonio.errors import SceneError
 from gonio.facade import Optics, Scene, Sun, Surface, box, street
-from gonio.facade.geometry import heading, pack
-from gonio.facade.tracing import nearest
+from gonio.facade.geometry import heading
+from gonio.facade.intersect import nearest, occluded
+from gonio.facade.layout import Geometry, Patches
+from gonio.facade.pack import pack
 
 MATT = {"matt": Optics(0.5)}
+
+
+def unpacked(surfaces: Sequence[Surface]) -> tuple[Geometry, Patches, np.ndarray, int]:
+    packed = pack(surfaces, MATT)
+    return packed.geometry, packed.patches, packed.centre_m, packed.cells
 
 
 def nearest_by_hand(surfaces: list[Surface], p: np.ndarray, d: np.ndarray) -> tuple[str, float]:
@@ -32,33 +41,33 @@ def test_tree_finds_what_solving_every_surface_finds(shift_m: float) -> None:
         surfaces += box(
             f"b{i}", centre_m=(x, y, 0.0), size_m=size, azimuth_deg=rng.uniform(0, 360), material="matt"
         )
-    g, order = pack(surfaces, MATT, periodic=False)
-    assert sorted(order) == list(range(240))
+    g, _, centre, _ = unpacked(surfaces)
+    assert sorted(g.rank) == list(range(240))
     hits = 0
     for _ in range(400):
         p = np.append(rng.uniform(-120, 120, 2) + shift_m, rng.uniform(1, 40))
         d = rng.normal(size=3)
         d /= np.linalg.norm(d)
-        k, t, a, b = nearest(g, False, tuple(p), tuple(d), -1, False)
+        k, t, a, b = nearest(g, tuple(p - centre), tuple(d), -1)
         name, expected_t = nearest_by_hand(surfaces, p, d)
-        assert (surfaces[order[k]].name if k >= 0 else "") == name
-        assert (nearest(g, False, tuple(p), tuple(d), -1, True)[0] >= 0) == (name != "")
+        assert (surfaces[g.rank[k]].name if k >= 0 else "") == name
+        assert occluded(g, tuple(p - centre), tuple(d), -1) == (name != "")
         if name:
             hits += 1
             assert t == pytest.approx(expected_t, rel=1e-9)
-            point = g.origin[k] + a * g.u[k] + b * g.v[k]
+            point = centre + g.origin[k] + a * g.u[k] + b * g.v[k]
             assert point == pytest.approx(p + t * d, abs=1e-9 * max(1.0, shift_m))
     assert hits > 50
 
 
 def test_rays_along_the_axes_see_walls_whose_planes_they_do_not_lie_in() -> None:
     surfaces = box("b", centre_m=(0, 0, 0), size_m=(2, 2, 2), azimuth_deg=0, material="matt")
-    g, order = pack(surfaces, MATT, periodic=False)
-    k, t, _, _ = nearest(g, False, (0.5, -5.0, 1.0), (0.0, 1.0, 0.0), -1, False)
-    assert surfaces[order[k]].name == "b.back"
+    g, _, centre, _ = unpacked(surfaces)
+    k, t, _, _ = nearest(g, tuple(np.array((0.5, -5.0, 1.0)) - centre), (0.0, 1.0, 0.0), -1)
+    assert surfaces[g.rank[k]].name == "b.back"
     assert t == pytest.approx(4.0)
-    k, t, _, _ = nearest(g, False, (0.0, 0.0, 9.0), (0.0, 0.0, -1.0), -1, False)
-    assert surfaces[order[k]].name == "b.top"
+    k, t, _, _ = nearest(g, tuple(np.array((0.0, 0.0, 9.0)) - centre), (0.0, 0.0, -1.0), -1)
+    assert surfaces[g.rank[k]].name == "b.top"
     assert t == pytest.approx(7.0)
 
 
