@@ -139,18 +139,21 @@ def _collect(
             receiver[i] = cells, s.rows, s.columns
             cells += s.rows * s.columns
         grid[i] = grids.get(s.name, (s.rows, s.columns))
+    origin, u, v = (
+        np.array([getattr(s, key) for s in surfaces], np.float64).reshape(-1, 3)
+        for key in ("origin_m", "u_m", "v_m")
+    )
     parts.append(
         _Shapes(
-            *(
-                np.array([getattr(s, key) for s in surfaces], np.float64).reshape(-1, 3)
-                for key in ("origin_m", "u_m", "v_m")
-            ),
-            np.array([s.turned for s in surfaces], bool),
-            np.zeros(n, np.uint8),
-            np.array([s.sides for s in surfaces], np.uint8),
-            np.array([number[s.material] for s in surfaces], np.int64),
-            grid,
-            receiver,
+            origin=origin,
+            u=u,
+            v=v,
+            turned=np.array([s.turned for s in surfaces], bool),
+            triangle=np.zeros(n, np.uint8),
+            sides=np.array([s.sides for s in surfaces], np.uint8),
+            optics=np.array([number[s.material] for s in surfaces], np.int64),
+            grid=grid,
+            receiver=receiver,
         )
     )
     for mesh in meshes:
@@ -175,9 +178,7 @@ def _collect(
                 receiver,
             )
         )
-    joined = _Shapes(
-        *(np.concatenate([getattr(p, key) for p in parts]) for key in _Shapes.__slots__)  # type: ignore[attr-defined]
-    )
+    joined = _Shapes(*(np.concatenate([getattr(p, key) for p in parts]) for key in _Shapes.__slots__))
     return joined, table, cells
 
 

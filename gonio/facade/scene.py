@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from gonio.config import parse_toml, read_toml, validate
 from gonio.errors import GonioError, SceneError
 from gonio.facade import geometry
+from gonio.facade.bands import Band
+from gonio.facade.bands import check as check_bands
 from gonio.facade.geometry import Mesh, Surface
 from gonio.facade.optics import Energy, Horizon, Optics, excess_text
 from gonio.facade.scene_file import MaterialTable, SceneTable
@@ -36,6 +39,16 @@ class Scene:
         Completion of the published lobe (docs/decisions/facade-energy.md).
     text, notes
         The file the scene was read from, and what was assumed when it was read.
+    meshes
+        Opaque triangles; those with `receiver` are receivers, one patch for each face.
+    bands
+        None, or the bands whose sum is the light of the scene; `materials` is then their average.
+    sky
+        How the diffuse light is spread over the sky; None: evenly.
+    polarised
+        Whether light keeps its polarization from one lobe to the next.
+    broadband_w_m2
+        DNI and DHI of all bands together, which tell a clear sky from a cloudy one; None: those given above.
 
     Raises
     ------
@@ -55,6 +68,10 @@ class Scene:
     text: str = ""
     notes: tuple[str, ...] = field(default=())
     meshes: tuple[Mesh, ...] = ()
+    bands: tuple[Band, ...] = ()
+    sky: Any = None
+    polarised: bool = False
+    broadband_w_m2: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         geometry.check(self.surfaces, self.materials, periodic=self.infinite)
@@ -62,7 +79,8 @@ class Scene:
             value = getattr(self, name)
             if not 0.0 <= value < float("inf"):
                 raise SceneError(f"{name} = {value:g} W/m2 is not an irradiance; give zero or more")
-        if not self.receivers:
+        check_bands(self.bands, self.materials)
+        if not self.receivers and not any(mesh.receiver for mesh in self.meshes):
             raise SceneError(
                 "the scene has no receiver; give at least one surface rows and columns ([[receivers]])"
             )
@@ -76,6 +94,23 @@ class Scene:
     def direct_w_m2(self) -> float:
         """Direct normal irradiance that counts: 0 with the centre of the sun below the horizon."""
         return self.dni_w_m2 if self.sun.is_up else 0.0
+
+    def in_band(self, number: int) -> Scene:
+        """Return the scene of one of `bands` alone: its share of the light, its materials.
+
+        Without bands the scene itself is band 0.  `IndexError` for a number that no band has.
+        """
+        if not self.bands and number == 0:
+            return self
+        band = self.bands[number]
+        return replace(
+            self,
+            materials=band.materials,
+            dni_w_m2=self.dni_w_m2 * band.dni_share,
+            dhi_w_m2=self.dhi_w_m2 * band.dhi_share,
+            bands=(),
+            broadband_w_m2=self.broadband_w_m2 or (self.dni_w_m2, self.dhi_w_m2),
+        )
 
 
 def load_scene(path: str | Path) -> Scene:
