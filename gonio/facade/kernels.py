@@ -14,37 +14,75 @@ from numba import njit
 
 from gonio.facade import backward as _backward
 from gonio.facade import forward as _forward
-from gonio.facade import intersect, layout, sampling, skylight, tracing, vectors
+from gonio.facade import gray, intersect, layout, sampling, skylight, tracing, vectors
+from gonio.facade import rows as _rows_module
 
 _paths = _backward.backward_paths
+_trace_rows = _rows_module.trace_rows
 _photons = _forward.forward_photons
 
 
 def _digest() -> int:
     total = hashlib.sha256()
-    for module in (layout, sampling, vectors, intersect, skylight, tracing, _backward, _forward):
+    for module in (
+        layout,
+        sampling,
+        gray,
+        vectors,
+        intersect,
+        skylight,
+        tracing,
+        _rows_module,
+        _backward,
+        _forward,
+    ):
         if module.__file__ is not None and Path(module.__file__).is_file():
             total.update(Path(module.__file__).read_bytes())
     return int.from_bytes(total.digest()[:7], "big")
 
 
-def _entry_points(digest: int) -> tuple[Any, Any]:
-    @njit(cache=True, nogil=True, error_model="numpy")
+def _entry_points(digest: int) -> tuple[Any, Any, Any]:
+    @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
     def backward(g, light, patches, directions, seed, replicas, window, lobe, out, exposed):  # type: ignore[no-untyped-def]
         if digest < 0:
             return 0
         return _paths(g, light, patches, directions, seed, replicas, window, lobe, out, exposed)
 
-    @njit(cache=True, nogil=True, error_model="numpy")
+    @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
     def forward(g, light, chance, directions, seed, stream, from_sky, window, tally, energy):  # type: ignore[no-untyped-def]
         if digest < 0:
             return 0
         return _photons(g, light, chance, directions, seed, stream, from_sky, window, tally, energy)
 
-    return backward, forward
+    @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+    def rows(  # type: ignore[no-untyped-def]
+        g,
+        light,
+        table,
+        patches,
+        chosen,
+        reverse,
+        seed,
+        replicas,
+        window,
+        length,
+        place,
+        index,
+        count,
+        weight,
+        sums,
+    ):
+        if digest < 0:
+            return 0
+        return _trace_rows(
+            g, light, table, patches, chosen, reverse, seed, replicas, window, length, place, index,
+            count, weight, sums,
+        )  # fmt: skip
+
+    return backward, forward, rows
 
 
-backward, forward = _entry_points(_digest())
+backward, forward, rows = _entry_points(_digest())
 
 
 def compiled_already() -> bool:
