@@ -11,9 +11,13 @@ from gonio.facade.geometry import Surface, box, street
 from gonio.facade.optics import EnergyWarning, Optics
 from gonio.facade.result import (
     CONTRIBUTIONS,
+    BandIrradiance,
     EnergyBalance,
+    ErrorParts,
     Estimate,
+    ExchangeBalance,
     Irradiance,
+    Omission,
     Receiver,
     load_irradiance,
 )
@@ -23,10 +27,14 @@ from gonio.facade.sun import Sun
 
 __all__ = [
     "CONTRIBUTIONS",
+    "BandIrradiance",
     "EnergyBalance",
     "EnergyWarning",
+    "ErrorParts",
     "Estimate",
+    "ExchangeBalance",
     "Irradiance",
+    "Omission",
     "Optics",
     "Receiver",
     "Scene",

@@ -1,28 +1,26 @@
-"""What came out?  Irradiance with standard errors, by contribution, in a file that any NeXus viewer opens."""
+"""What came out?  Irradiance with standard errors, by contribution, and how far it can be trusted.
+
+`gonio.facade.result_file` keeps it in HDF5, `gonio.facade.result_text` prints it.
+"""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio import __version__
-from gonio.errors import StoreError
 from gonio.facade.geometry import Vector
-from gonio.store.read import opened
 
 FloatArray = NDArray[np.float64]
 
 CONTRIBUTIONS = ("direct", "sky", "diffuse", "specular")
 """Direct sun, direct view of the sky, reflected only diffusely, reflected by a lobe at least once."""
 
-_POWERS = ("emitted_w", "created_w", "absorbed_w", "under_horizon_w", "escaped_w", "unfinished_w")
+ORIGIN: Vector = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,10 +33,17 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Receiver:
-    """One gridded surface; arrays are (rows, columns), row 0 the lowest, columns along the street's azimuth.
+    """One gridded surface, or one mesh.
 
-    `mean` and `mean_contributions` are averages over the surface, with standard errors of their own: patches
+    Of a surface the arrays are (rows, columns), row 0 the lowest, columns along the street's azimuth.  Of a
+    mesh they are (f,), one value for each face; `vertices_m` (k, 3) and `faces` (f, 3) say where they are,
+    and the three vectors are zero.
+
+    `mean` and `mean_contributions` are averages over the area, with standard errors of their own: patches
     share photons, so they do not follow from those of the patches.
+
+    `discretisation_w_m2` bounds what exchange between patches of finite size adds to the error of the mean,
+    W/m2; 0 where no patches stand between (paths of light followed one by one).
     """
 
     name: str
@@ -49,16 +54,52 @@ class Receiver:
     contributions: Mapping[str, Estimate]
     mean: Estimate
     mean_contributions: Mapping[str, Estimate]
+    discretisation_w_m2: float = 0.0
+    vertices_m: FloatArray | None = None
+    faces: NDArray[np.int64] | None = None
+
+    @classmethod
+    def on_mesh(
+        cls,
+        name: str,
+        vertices_m: FloatArray,
+        faces: NDArray[np.int64],
+        *,
+        total: Estimate,
+        contributions: Mapping[str, Estimate],
+        mean: Estimate,
+        mean_contributions: Mapping[str, Estimate],
+        discretisation_w_m2: float = 0.0,
+    ) -> Receiver:
+        """Return the receiver of a mesh: one value for each face."""
+        return cls(
+            name, ORIGIN, ORIGIN, ORIGIN, total, contributions, mean, mean_contributions,
+            discretisation_w_m2, vertices_m, faces,
+        )  # fmt: skip
+
+    @property
+    def is_mesh(self) -> bool:
+        """Whether the values belong to the faces of a mesh."""
+        return self.faces is not None
 
     @property
     def value(self) -> FloatArray:
-        """Irradiance (rows, columns), W/m2."""
+        """Irradiance (rows, columns), of a mesh (f,), W/m2."""
         return self.total.value
 
     @property
     def standard_error(self) -> FloatArray:
         """Standard error of `value`, W/m2."""
         return self.total.standard_error
+
+    @property
+    def area_m2(self) -> FloatArray:
+        """Area of each patch, of the shape of `value`, m2."""
+        if self.vertices_m is not None and self.faces is not None:
+            a, b, c = np.moveaxis(self.vertices_m[self.faces], 1, 0)
+            return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
+        whole = float(np.linalg.norm(np.cross(self.u_m, self.v_m)))
+        return np.full(self.value.shape, whole / max(self.value.size, 1))
 
     @property
     def row_centres_m(self) -> FloatArray:
@@ -77,8 +118,9 @@ class Receiver:
 class EnergyBalance:
     """Where the power of the photons went, W; all zero without a glossy surface, which needs none.
 
-    ``emitted + created = absorbed + escaped + unfinished`` but for rounding; `under_horizon_w` is the part of
-    `absorbed_w` that the lobe sent below the surface.
+    ``emitted + created = absorbed + escaped + handed + unfinished`` but for rounding.  `under_horizon_w` is
+    the part of `absorbed_w` that the lobe sent below the surface, `handed_w` what the photons left to the
+    exchange of diffuse light.
     """
 
     emitted_w: float
@@ -87,14 +129,73 @@ class EnergyBalance:
     under_horizon_w: float
     escaped_w: float
     unfinished_w: float
+    handed_w: float = 0.0
 
     @property
     def residual(self) -> float:
-        """``emitted + created - absorbed - escaped - unfinished`` relative to what was emitted."""
+        """What is missing in the account, relative to what was emitted."""
         if self.emitted_w == 0.0:
             return 0.0
-        out = self.absorbed_w + self.escaped_w + self.unfinished_w
+        out = self.absorbed_w + self.escaped_w + self.handed_w + self.unfinished_w
         return (self.emitted_w + self.created_w - out) / self.emitted_w
+
+
+@dataclass(frozen=True, slots=True)
+class ExchangeBalance:
+    """What surfaces send out diffusely must arrive somewhere: on patches, or in the sky and on black backs.
+
+    The parts are estimated from different rays, so they agree within `standard_error_w`, the standard error
+    of ``emitted - received - escaped``.  `solver_residual` is what the linear solve leaves, relative to its
+    right hand side.
+    """
+
+    emitted_w: float
+    received_w: float
+    escaped_w: float
+    standard_error_w: float
+    solver_residual: float = 0.0
+
+    @property
+    def difference_w(self) -> float:
+        """``emitted - received - escaped``, W."""
+        return self.emitted_w - self.received_w - self.escaped_w
+
+
+@dataclass(frozen=True, slots=True)
+class Omission:
+    """Something left out on purpose, and what it can change at most.
+
+    `bound_percent` is of the mean of `receiver`; without a name the bound holds on every receiver.
+    """
+
+    what: str
+    bound_w_m2: float
+    bound_percent: float
+    receiver: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class BandIrradiance:
+    """The part of the irradiance in one band of wavelengths: sun and sky, and the mean of each receiver."""
+
+    low_nm: float
+    high_nm: float
+    dni_w_m2: float
+    dhi_w_m2: float
+    means: Mapping[str, Estimate]
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorParts:
+    """Errors of one receiver, relative to its mean: ``total = sqrt(statistical^2 + omitted^2)``."""
+
+    statistical: float
+    omitted: float
+
+    @property
+    def total(self) -> float:
+        """Statistical error and bounds together."""
+        return float(np.hypot(self.statistical, self.omitted))
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +204,25 @@ class Irradiance:
 
     `relative_error` is held against `rel_tol`: the root mean square of the patches' standard errors over the
     mean irradiance, of the receiver where it is largest.  `converged` says whether it got there.
+
+    Parameters
+    ----------
+    method
+        ``"rows"``, ``"paths"`` or ``"backward"``.
+    omissions
+        What the planner left out, each with its bound; empty with ``full=True``.
+    levels
+        By material: ``"diffuse"``, ``"mirror"``, ``"lobe"`` or ``"polarised"``.
+    bands
+        The parts of the result, if it was computed in more than one band.
+    exchange
+        Account of the diffuse light; ``None`` where paths are followed one by one.
+    interrupted, state
+        Stopped before it was finished; arrays that `simulate` takes to go on as if nothing had happened.
+    floor_w_m2
+        Irradiance that stands for the mean of a receiver that is darker, in every relative error.
+    versions, options, date
+        Programs that took part, what was asked of them, and when (UTC, ISO 8601).
     """
 
     receivers: tuple[Receiver, ...]
@@ -116,6 +236,17 @@ class Irradiance:
     rays: int
     duration_s: float
     notes: tuple[str, ...]
+    omissions: tuple[Omission, ...] = ()
+    method: str = "paths"
+    levels: Mapping[str, str] = field(default_factory=dict)
+    bands: tuple[BandIrradiance, ...] = ()
+    exchange: ExchangeBalance | None = None
+    interrupted: bool = False
+    state: Mapping[str, NDArray[Any]] | None = None
+    floor_w_m2: float = 0.0
+    versions: Mapping[str, str] = field(default_factory=dict)
+    options: Mapping[str, str] = field(default_factory=dict)
+    date: str = ""
 
     def __getitem__(self, name: str) -> Receiver:
         """Return the receiver on the surface `name`; `KeyError` lists those there are."""
@@ -124,96 +255,44 @@ class Irradiance:
                 return r
         raise KeyError(f"no receiver '{name}'; there are {', '.join(r.name for r in self.receivers)}")
 
+    def error_of(self, name: str) -> ErrorParts:
+        """Return the errors of a receiver relative to its mean (to `floor_w_m2` if that is larger).
+
+        Statistical: root mean square of the patches' standard errors, weighted with their areas.  Omitted:
+        the sum of all bounds that hold there, the discretisation's among them.  Both are 0 in the dark.
+        """
+        r = self[name]
+        mean = max(float(r.mean.value), self.floor_w_m2)
+        if not mean > 0.0:
+            return ErrorParts(0.0, 0.0)
+        area = r.area_m2
+        statistical = float(np.sqrt(np.sum(area * r.standard_error**2) / np.sum(area)))
+        omitted = r.discretisation_w_m2 + sum(
+            o.bound_w_m2 for o in self.omissions if o.receiver in ("", name)
+        )
+        return ErrorParts(statistical / mean, omitted / mean)
+
+    @property
+    def worst(self) -> tuple[str, ErrorParts]:
+        """Name and errors of the receiver whose total error is largest."""
+        errors = [(r.name, self.error_of(r.name)) for r in self.receivers]
+        return max(errors, key=lambda pair: pair[1].total)
+
     def table(self) -> str:
         """Return the means of the receivers, W/m2, with their standard errors, and how they were obtained."""
-        head = f"{'receiver':<16}{'total':>18}" + "".join(f"{c:>17}" for c in CONTRIBUTIONS)
-        lines = [head]
-        for r in self.receivers:
-            cells = [r.mean, *(r.mean_contributions[c] for c in CONTRIBUTIONS)]
-            texts = [f"{float(e.value):.2f} ± {float(e.standard_error):.2f}" for e in cells]
-            lines.append(f"{r.name:<16}{texts[0]:>18}" + "".join(f"{t:>17}" for t in texts[1:]))
-        reached = "reached" if self.converged else "NOT reached"
-        lines.append(
-            f"W/m2, mean ± standard error; patches ± {100 * self.relative_error:.2g} % (rms, worst receiver; "
-            f"{100 * self.rel_tol:g} % asked, {reached})"
-        )
-        lines.append(f"{self.rays:.3g} rays in {self.duration_s:.2f} s, seed {self.seed}")
-        e = self.energy
-        if e.emitted_w > 0.0:
-            lines.append(
-                f"photons: {e.emitted_w:.6g} W in + {e.created_w:.3g} W created = "
-                f"{e.absorbed_w:.6g} W absorbed ({e.under_horizon_w:.3g} W of it below the horizon) "
-                f"+ {e.escaped_w:.6g} W escaped "
-                f"+ {e.unfinished_w:.3g} W unfinished; balance {e.residual:.0e}"
-            )
-        return "\n".join([*lines, *self.notes])
+        from gonio.facade.result_text import table
+
+        return table(self)
 
     def save(self, path: str | Path) -> None:
         """Write everything to an HDF5 file (NeXus groups, units on every array); an older one is replaced.
 
-        `StoreError` if the file cannot be written; then nothing is left behind.
+        The file appears whole or not at all, also if the process is killed.  `StoreError` if it cannot be
+        written; then nothing is left behind.
         """
-        path = Path(path)
-        part = path.with_name(path.name + ".part")
-        try:
-            with h5py.File(part, "w") as file:
-                self._write(file)
-            os.replace(part, path)
-        except OSError as error:
-            raise StoreError(
-                f"{path}: cannot be written ({error}); check the folder and the space left"
-            ) from None
-        finally:
-            part.unlink(missing_ok=True)
+        from gonio.facade.result_file import save
 
-    def _write(self, file: Any) -> None:
-        file.attrs["default"] = "entry"
-        entry = _group(file, "entry", "NXentry", default=f"receiver_{self.receivers[0].name}")
-        entry["title"] = self.title or "Facade irradiance"
-        entry["experiment_type"] = "gonio facade simulation"
-        process = _group(entry, "process", "NXprocess")
-        process["program"], process["version"] = "gonio", __version__
-        process["scene"] = self.scene_text
-        for key in ("seed", "rel_tol", "relative_error", "converged", "rays", "duration_s"):
-            process[key] = getattr(self, key)
-        process["duration_s"].attrs["units"] = "s"
-        process.create_dataset("notes", data=list(self.notes), dtype=h5py.string_dtype())
-        energy = _group(process, "energy", "NXcollection")
-        for key in _POWERS:
-            energy[key] = getattr(self.energy, key)
-            energy[key].attrs["units"] = "W"
-        for number, r in enumerate(self.receivers):
-            group = _group(entry, f"receiver_{r.name}", "NXdata", signal="irradiance", axes=["row", "column"])
-            group.attrs["number"] = number
-            group.attrs["surface"] = r.name
-            for key in ("origin_m", "u_m", "v_m"):
-                group.attrs[key] = getattr(r, key)
-            for key, centres in (("row", r.row_centres_m), ("column", r.column_centres_m)):
-                group[key] = centres
-                group[key].attrs["units"] = "m"
-            _put(group, "irradiance", r.total)
-            _put(group, "mean_irradiance", r.mean)
-            for name in CONTRIBUTIONS:
-                _put(group, name, r.contributions[name])
-                _put(group, f"mean_{name}", r.mean_contributions[name])
-
-
-def _group(parent: Any, name: str, kind: str, **attributes: Any) -> Any:
-    group = parent.create_group(name)
-    group.attrs["NX_class"] = kind
-    for key, value in attributes.items():
-        group.attrs[key] = value
-    return group
-
-
-def _put(group: Any, name: str, estimate: Estimate) -> None:
-    for key, array in ((name, estimate.value), (f"{name}_errors", estimate.standard_error)):
-        group[key] = array
-        group[key].attrs["units"] = "W/m2"
-
-
-def _take(group: Any, name: str) -> Estimate:
-    return Estimate(np.asarray(group[name][()]), np.asarray(group[f"{name}_errors"][()]))
+        save(self, Path(path))
 
 
 def load_irradiance(path: str | Path) -> Irradiance:
@@ -221,48 +300,12 @@ def load_irradiance(path: str | Path) -> Irradiance:
 
     `StoreError` if there is no such file, or it holds no facade irradiance.
     """
-    path = Path(path)
-    with opened(path, "r") as file:
-        try:
-            return _read(file)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise StoreError(
-                f"{path}: holds no facade irradiance ({error}); name a file written by gonio facade"
-            ) from None
+    from gonio.facade.result_file import load
+
+    return load(Path(path))
 
 
-def _read(file: Any) -> Irradiance:
-    entry = file["entry"]
-    process = entry["process"]
-    groups = [g for key, g in entry.items() if key.startswith("receiver_")]
-    receivers = tuple(
-        Receiver(
-            name=str(g.attrs["surface"]),
-            origin_m=_vector(g, "origin_m"),
-            u_m=_vector(g, "u_m"),
-            v_m=_vector(g, "v_m"),
-            total=_take(g, "irradiance"),
-            contributions={name: _take(g, name) for name in CONTRIBUTIONS},
-            mean=_take(g, "mean_irradiance"),
-            mean_contributions={name: _take(g, f"mean_{name}") for name in CONTRIBUTIONS},
-        )
-        for g in sorted(groups, key=lambda g: int(g.attrs["number"]))
-    )
-    return Irradiance(
-        receivers=receivers,
-        energy=EnergyBalance(*(float(process["energy"][key][()]) for key in _POWERS)),
-        title=entry["title"].asstr()[()],
-        scene_text=process["scene"].asstr()[()],
-        seed=int(process["seed"][()]),
-        rel_tol=float(process["rel_tol"][()]),
-        relative_error=float(process["relative_error"][()]),
-        converged=bool(process["converged"][()]),
-        rays=int(process["rays"][()]),
-        duration_s=float(process["duration_s"][()]),
-        notes=tuple(process["notes"].asstr()[()]),
-    )
-
-
-def _vector(group: Any, key: str) -> Vector:
-    x, y, z = (float(c) for c in group.attrs[key])
-    return x, y, z
+def area_mean(values: FloatArray, areas: FloatArray | Sequence[float]) -> FloatArray:
+    """Return the mean of (patches, ...) over the patches, weighted with their areas."""
+    weights = np.asarray(areas, np.float64)
+    return np.asarray(np.tensordot(weights / weights.sum(), values, axes=1))
