@@ -179,7 +179,7 @@ def _write_bands(entry: Any, result: Irradiance) -> None:
 
 
 def group_names(names: Sequence[str]) -> list[str]:
-    """Return one name of an HDF5 group for each receiver: all different, without what HDF5 reads as a path."""
+    """Return the HDF5 group of each receiver: all different, without what HDF5 reads as a path."""
     found: list[str] = []
     for name in names:
         plain = "receiver_" + re.sub(r"[^\w.\-]", "_", name)
@@ -204,11 +204,10 @@ def _texts(group: Any, name: str, texts: Sequence[str]) -> None:
 
 
 def _put(group: Any, name: str, estimate: Estimate) -> None:
-    for key, array in ((name, estimate.value), (f"{name}_errors", estimate.standard_error)):
-        group[key] = array
-        _declare(
-            group[key], "irradiance" if array is estimate.value else "standard error of irradiance", "W/m2"
-        )
+    group[name] = estimate.value
+    _declare(group[name], "irradiance", "W/m2")
+    group[f"{name}_errors"] = estimate.standard_error
+    _declare(group[f"{name}_errors"], "standard error of irradiance", "W/m2")
 
 
 def _declare(dataset: Any, quantity: str, units: str) -> None:

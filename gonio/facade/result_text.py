@@ -30,7 +30,7 @@ def estimate_text(estimate: Estimate) -> str:
 
 
 def _means(irradiance: Irradiance) -> list[str]:
-    rows = [("receiver", "total", *CONTRIBUTIONS)]
+    rows: list[tuple[str, ...]] = [("receiver", "total", *CONTRIBUTIONS)]
     for r in irradiance.receivers:
         cells = [r.mean, *(r.mean_contributions[c] for c in CONTRIBUTIONS)]
         rows.append((r.name, *(estimate_text(e) for e in cells)))
@@ -60,7 +60,7 @@ def _bands(irradiance: Irradiance) -> list[str]:
     if not irradiance.bands:
         return []
     names = [r.name for r in irradiance.receivers]
-    rows = [("band / nm", "DNI", "DHI", *names)]
+    rows: list[tuple[str, ...]] = [("band / nm", "DNI", "DHI", *names)]
     rows += [
         (
             f"{b.low_nm:g}-{b.high_nm:g}",
@@ -77,16 +77,17 @@ def _omissions(irradiance: Irradiance) -> list[str]:
     discretised = any(r.discretisation_w_m2 > 0.0 for r in irradiance.receivers)
     if not irradiance.omissions and not discretised:
         return []
-    rows = [("receiver", "W/m2", "%", "left out")]
-    for o in irradiance.omissions:
-        rows.append((o.receiver or "every", f"{o.bound_w_m2:.3g}", f"{o.bound_percent:.2g}", o.what))
+    rows: list[tuple[str, ...]] = [("receiver", "W/m2", "%", "left out")]
+    rows += [
+        (o.receiver or "every", f"{o.bound_w_m2:.3g}", f"{o.bound_percent:.2g}", o.what)
+        for o in irradiance.omissions
+    ]
     for r in irradiance.receivers:
         if r.discretisation_w_m2 > 0.0:
             mean = max(float(r.mean.value), irradiance.floor_w_m2)
             percent = 100.0 * r.discretisation_w_m2 / mean if mean > 0.0 else 0.0
-            rows.append(
-                (r.name, f"{r.discretisation_w_m2:.3g}", f"{percent:.2g}", "finite size of the patches")
-            )
+            bound = f"{r.discretisation_w_m2:.3g}"
+            rows.append((r.name, bound, f"{percent:.2g}", "finite size of the patches"))
     name, error = irradiance.worst
     return [
         "bounds of what was left out:",
