@@ -24,6 +24,10 @@ RHO_D, RHO_S, ALPHA, N2, CONSTANT = 0, 1, 2, 3, 4
 """Columns of `Geometry.materials`; with `CONSTANT` 1 the lobe returns rho_s at every incidence (R = 1)."""
 
 
+LEAST_COSINE = 0.01
+"""Of the zenith angle in the sky's gradation, whose exponent has a pole at the horizon (as in gendaylit)."""
+
+
 class Geometry(NamedTuple):
     """What rays can hit: m primitives in the order of the tree's leaves, metres from the scene's centre.
 

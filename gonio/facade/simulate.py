@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from gonio.errors import ConfigError, SceneError
 from gonio.facade import layout
 from gonio.facade.layout import Geometry, Light
+from gonio.facade.lighting import light_notes, light_of
 from gonio.facade.optics import EnergyWarning, excess_text
 from gonio.facade.pack import pack
 from gonio.facade.result import CONTRIBUTIONS, EnergyBalance, Estimate, Irradiance, Receiver
@@ -96,7 +97,7 @@ def simulate(
         raise SceneError(
             'estimator = "backward" cannot renormalize the lobe; use horizon = "absorb" or "split"'
         )
-    notes = list(scene.notes)
+    notes = [*scene.notes, *(n for n in light_notes(scene) if n not in scene.notes)]
     if scene.energy == "published":
         for name, optics in scene.materials.items():
             sentence = excess_text(name, optics, scene.energy)
@@ -162,15 +163,7 @@ class _Run:
         self.whole = whole
         packed = pack(scene.surfaces, scene.materials, meshes=scene.meshes, periodic=scene.infinite)
         self.g, self.patches = packed.geometry, packed.patches
-        self.light = Light(
-            sun=np.array(scene.sun.direction),
-            disc=2.0 * np.sin(np.radians(scene.sun.angular_diameter_deg) / 4.0) ** 2,
-            dni=scene.direct_w_m2,
-            dhi=float(scene.dhi_w_m2),
-            sky=np.array([scene.dhi_w_m2 / np.pi, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]),
-            conserving=scene.energy == "conserving",
-            renormalize=scene.horizon == "renormalize",
-        )
+        self.light = light_of(scene)
         self.directions = sobol_directions()
         self.area_m2 = self.patches.area
         count = len(self.area_m2)

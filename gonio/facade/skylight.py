@@ -12,14 +12,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from gonio.facade.layout import LEAST_COSINE
 from gonio.facade.sampling import compiled
 from gonio.facade.vectors import dot
 
 SCALE, A, B, K, C, D, E = 0, 1, 2, 3, 4, 5, 6
 """Columns of `gonio.facade.layout.Light.sky`."""
-
-LEAST_COSINE = 0.01
-"""Of the zenith angle in the gradation, whose exponent has a pole at the horizon (as in gendaylit)."""
 
 
 @compiled

@@ -13,6 +13,9 @@ from gonio.facade.geometry import Vector, heading
 ANGULAR_DIAMETER_DEG = 0.533
 """Mean angular diameter of the sun seen from the Earth (it varies by 1.7 % over the year)."""
 
+SOLAR_CONSTANT_W_M2 = 1361.0
+"""Total solar irradiance at the mean distance (Kopp and Lean 2011); 1 W/m2 is not known better than that."""
+
 
 @dataclass(frozen=True, slots=True)
 class Sun:
@@ -58,6 +61,16 @@ def sun_at(site: Site, *, angular_diameter_deg: float = ANGULAR_DIAMETER_DEG) ->
     if not (math.isfinite(azimuth_deg) and math.isfinite(elevation_deg)):
         raise SceneError(f"the sun's position at {site.time.isoformat()} cannot be computed; check site.time")
     return Sun(azimuth_deg, elevation_deg, angular_diameter_deg)
+
+
+def extraterrestrial(site: Site) -> float:
+    """Return the irradiance outside the atmosphere on that day, W/m2 (Spencer 1971, by pvlib)."""
+    import pvlib
+
+    day = site.time.astimezone(datetime.UTC).timetuple().tm_yday
+    return float(
+        pvlib.irradiance.get_extra_radiation(day, solar_constant=SOLAR_CONSTANT_W_M2, method="spencer")
+    )
 
 
 def clear_sky(site: Site) -> tuple[float, float]:
