@@ -1,0 +1,174 @@
+"""By how much do two runs differ at most?  Bounds from pairs of replicas that share their random numbers.
+
+Two scenes run with one seed use the same points in every replica, so what they have in common cancels in the
+difference, replica by replica.  With d the differences of a receiver's patches (mean over the replicas), s
+their standard errors, and rms the root mean square over the patches (weighted with their area),
+
+    rms(true difference) <= rms(d) + t rms(s) + u,
+
+t being Student's quantile at 1 - 1e-4 for the number of replicas.  This holds for any correlation between the
+patches; rms(d) contains the noise once already, so the bound errs on the large side.  The bound of the mean
+follows: the mean of a difference is at most its root mean square.
+
+u is for light that no photon found.  Where N photons share the power P and none arrives, the power that
+arrives is below ``-ln(1e-4) P / N`` with the same confidence, for independent photons; Sobol points do
+better.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from gonio.facade.result import Irradiance
+    from gonio.facade.scene import Scene
+
+FloatArray = NDArray[np.float64]
+
+MISS = 1e-4
+"""Probability that a bound fails, for one receiver and one omission."""
+
+
+class Outcome(NamedTuple):
+    """What one run of the engine gives the planner."""
+
+    irradiance: Irradiance
+    replicas: FloatArray
+    """Total of each patch in each replica, W/m2, (cells, replicas), receiver after receiver."""
+    photons: int = 0
+    """Photons started at sun and sky in all replicas together; 0: none were needed, or it is not known."""
+
+
+class Engine(Protocol):
+    """The engine without planner: the scene as it is, all its bands, `Scene.polarised` as it says.
+
+    One seed for all calls of a plan, so that scenes that differ in their materials alone use the same points.
+    """
+
+    def __call__(self, scene: Scene, rel_tol: float, /) -> Outcome:
+        """Run to the statistical tolerance `rel_tol`; 0.5 asks for no more than the first points."""
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """Of two runs, for each receiver: W/m2, (receivers,)."""
+
+    mean: FloatArray
+    standard_error: FloatArray  # of `mean`
+    rms: FloatArray  # over the patches, noise included
+    noise: FloatArray  # t rms(s) + u
+
+    @property
+    def bound(self) -> FloatArray:
+        """Upper bound of the root mean square over the patches, and so of the mean."""
+        return self.rms + self.noise
+
+
+def difference(a: Outcome, b: Outcome) -> Difference:
+    """Return ``a - b`` with its bound, receiver by receiver."""
+    d = a.replicas - b.replicas
+    replicas = d.shape[1]
+    value = d.mean(axis=1)
+    error = standard_errors(d)
+    t = quantile(replicas)
+    unseen = np.maximum(_unseen(a), _unseen(b))
+    rows = []
+    for number, (here, weight) in enumerate(shares(a.irradiance)):
+        mean = weight @ d[here]
+        rows.append(
+            (
+                mean.mean(),
+                standard_errors(mean),
+                math.sqrt(weight @ value[here] ** 2),
+                t * math.sqrt(weight @ error[here] ** 2) + unseen[number],
+            )
+        )
+    return Difference(*(np.array(column, np.float64) for column in zip(*rows, strict=True)))
+
+
+def standard_errors(replicas: FloatArray) -> FloatArray:
+    """Return the standard error of the mean over the last axis."""
+    return np.asarray(replicas.std(axis=-1, ddof=1) / math.sqrt(replicas.shape[-1]))
+
+
+def quantile(replicas: int) -> float:
+    """Return Student's one-sided quantile at 1 - 1e-4 with one degree of freedom less than replicas."""
+    from scipy import special
+
+    return float(special.stdtrit(replicas - 1, 1.0 - MISS))
+
+
+def shares(irradiance: Irradiance) -> list[tuple[slice, FloatArray]]:
+    """Return, receiver after receiver, where its cells are, and their parts of its area (adding up to 1)."""
+    found = []
+    first = 0
+    for areas in receiver_areas(irradiance):
+        found.append((slice(first, first + len(areas)), areas / areas.sum()))
+        first += len(areas)
+    return found
+
+
+def receiver_areas(irradiance: Irradiance) -> list[FloatArray]:
+    """Return the areas of each receiver's cells, m2."""
+    return [r.area_m2.ravel() for r in irradiance.receivers]
+
+
+def means(outcome: Outcome) -> tuple[FloatArray, FloatArray]:
+    """Return the mean irradiance of each receiver and its standard error, W/m2, (receivers,) each."""
+    per_replica = np.array([weight @ outcome.replicas[here] for here, weight in shares(outcome.irradiance)])
+    return per_replica.mean(axis=1), standard_errors(per_replica)
+
+
+def _unseen(outcome: Outcome) -> FloatArray:
+    """Return what photons may have missed on each receiver, W/m2."""
+    areas: Sequence[float] = [float(a.sum()) for a in receiver_areas(outcome.irradiance)]
+    if outcome.photons == 0:
+        return np.zeros(len(areas))
+    power = outcome.irradiance.energy.emitted_w
+    return -math.log(MISS) * power / outcome.photons / np.asarray(areas)
+
+
+def engine(*, seed: int = 0, threads: int | None = None) -> Engine:
+    """Return the engine of `gonio.facade.simulate` without its planner."""
+    import importlib
+
+    module: Any = importlib.import_module("gonio.facade.simulate")  # the package gives the function that name
+
+    def one(scene: Scene, rel_tol: float) -> Outcome:
+        run = module._Run(scene, seed, threads or module.available_threads(), None, whole=False)
+        started_s = time.monotonic()
+        reached = run.until(rel_tol, module.MAX_RAYS)
+        irradiance = module.Irradiance(
+            receivers=run.receivers(), energy=run.energy(), title=scene.title, scene_text=scene.text,
+            seed=seed, rel_tol=rel_tol, relative_error=reached, converged=reached <= rel_tol, rays=run.rays,
+            duration_s=time.monotonic() - started_s, notes=(),
+        )  # fmt: skip
+        replicas = np.asarray(sum(run._replicas().values()))
+        photons = sum(part.done * module.REPLICAS for part in (run.sun, run.sky) if part is not None)
+        return Outcome(irradiance, replicas, photons)
+
+    def run(scene: Scene, rel_tol: float, /) -> Outcome:
+        parts = [one(scene.in_band(i), rel_tol) for i in range(max(1, len(scene.bands)))]
+        if len(parts) == 1:
+            return parts[0]
+        first = parts[0].irradiance
+        energy = type(first.energy)(
+            *(sum(getattr(p.irradiance.energy, f.name) for p in parts) for f in fields(first.energy))
+        )
+        whole = replace(
+            first,
+            energy=energy,
+            rays=sum(p.irradiance.rays for p in parts),
+            duration_s=sum(p.irradiance.duration_s for p in parts),
+            relative_error=max(p.irradiance.relative_error for p in parts),
+        )
+        return Outcome(whole, np.sum([p.replicas for p in parts], axis=0), min(p.photons for p in parts))
+
+    return run
