@@ -13,13 +13,13 @@ from typing import Any
 from numba import njit
 
 from gonio.facade import backward as _backward
-from gonio.facade import forward as _forward
-from gonio.facade import gray, intersect, layout, sampling, skylight, tracing, vectors
+from gonio.facade import gray, intersect, layout, lobe, sampling, skylight, stokes, tracing, vectors
+from gonio.facade import photons as _photons_module
 from gonio.facade import rows as _rows_module
 
 _paths = _backward.backward_paths
 _trace_rows = _rows_module.trace_rows
-_photons = _forward.forward_photons
+_photons = _photons_module.photons
 
 
 def _digest() -> int:
@@ -32,9 +32,11 @@ def _digest() -> int:
         intersect,
         skylight,
         tracing,
+        lobe,
+        stokes,
         _rows_module,
         _backward,
-        _forward,
+        _photons_module,
     ):
         if module.__file__ is not None and Path(module.__file__).is_file():
             total.update(Path(module.__file__).read_bytes())
@@ -49,10 +51,16 @@ def _entry_points(digest: int) -> tuple[Any, Any, Any]:
         return _paths(g, light, patches, directions, seed, replicas, window, lobe, out, exposed)
 
     @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-    def forward(g, light, chance, directions, seed, stream, from_sky, window, tally, energy):  # type: ignore[no-untyped-def]
+    def photons(  # type: ignore[no-untyped-def]
+        g, light, patches, chance, directions, seed, source, replicas, follow, polarised, base, window,
+        tally, tally_d, energy,
+    ):  # fmt: skip
         if digest < 0:
             return 0
-        return _photons(g, light, chance, directions, seed, stream, from_sky, window, tally, energy)
+        return _photons(
+            g, light, patches, chance, directions, seed, source, replicas, follow, polarised, base, window,
+            tally, tally_d, energy,
+        )  # fmt: skip
 
     @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
     def rows(  # type: ignore[no-untyped-def]
@@ -79,12 +87,12 @@ def _entry_points(digest: int) -> tuple[Any, Any, Any]:
             count, weight, sums,
         )  # fmt: skip
 
-    return backward, forward, rows
+    return backward, photons, rows
 
 
-backward, forward, rows = _entry_points(_digest())
+backward, photons, rows = _entry_points(_digest())
 
 
 def compiled_already() -> bool:
     """Say whether both kernels have been compiled or loaded in this process."""
-    return bool(backward.signatures and forward.signatures)
+    return bool(backward.signatures and photons.signatures)

@@ -17,8 +17,12 @@ IntArray = NDArray[np.int64]
 DIRECT, SKY, DIFFUSE, SPECULAR, LOST = 0, 1, 2, 3, 4
 """Columns of what backward paths collect."""
 
-EMITTED, ABSORBED, UNDER_HORIZON, ESCAPED, CREATED, UNFINISHED = 0, 1, 2, 3, 4, 5
-"""Columns of the photons' energy account; `UNDER_HORIZON` is a part of `ABSORBED`."""
+EMITTED, ABSORBED, UNDER_HORIZON, ESCAPED, CREATED, UNFINISHED, HANDED, EXPOSED = 0, 1, 2, 3, 4, 5, 6, 7
+"""Columns of the photons' energy account; `UNDER_HORIZON` is a part of `ABSORBED`, `HANDED` is what goes over
+to the exchange between patches, `EXPOSED` counts the points of a patch that can emit."""
+
+SUN, SKYLIGHT, PATCH = 0, 1, 2
+"""What photons come from."""
 
 RHO_D, RHO_S, ALPHA, N2, CONSTANT = 0, 1, 2, 3, 4
 """Columns of `Geometry.materials`; with `CONSTANT` 1 the lobe returns rho_s at every incidence (R = 1)."""

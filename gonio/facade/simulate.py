@@ -26,13 +26,13 @@ from numpy.typing import NDArray
 
 from gonio.errors import ConfigError, SceneError
 from gonio.facade import layout
-from gonio.facade.layout import Geometry, Light
 from gonio.facade.lighting import light_notes, light_of
 from gonio.facade.optics import EnergyWarning, excess_text
 from gonio.facade.pack import pack
 from gonio.facade.result import CONTRIBUTIONS, EnergyBalance, Estimate, Irradiance, Receiver
 from gonio.facade.scene import Scene
 from gonio.facade.sobol import sobol_directions
+from gonio.facade.starts import chances
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -44,7 +44,6 @@ DARK = 1e-3
 """A receiver with less than this part of DNI + DHI is held to ``rel_tol * DARK * (DNI + DHI)`` instead."""
 
 _BATCH = 1 << 21  # paths between two looks at Ctrl-C and two reports of progress
-_SUN_STREAM, _SKY_STREAM = 1 << 40, (1 << 40) + 1  # beyond every patch number, which are the backward streams
 
 
 def simulate(
@@ -149,7 +148,7 @@ class _Part:
     sums: FloatArray
     done: int = 0
     rays: int = 0
-    energy: FloatArray = field(default_factory=lambda: np.zeros((REPLICAS, 6)))
+    energy: FloatArray = field(default_factory=lambda: np.zeros((REPLICAS, 8)))
 
 
 class _Run:
@@ -169,8 +168,8 @@ class _Run:
         count = len(self.area_m2)
         self.back = _Part(16, np.zeros((count * REPLICAS, 5)))
         self.exposed = np.zeros(count * REPLICAS)
-        self.sun_chance = _chances(self.g, self.light, from_sky=False)
-        self.sky_chance = _chances(self.g, self.light, from_sky=True)
+        self.sun_chance = chances(self.g, self.light, layout.SUN, follow=True)
+        self.sky_chance = chances(self.g, self.light, layout.SKYLIGHT, follow=True)
         glossy = bool(np.any(self.g.materials[self.g.optics, layout.RHO_S] > 0.0)) and not whole
         self.sun = (
             _Part(4096, np.zeros((REPLICAS, count))) if glossy and self.sun_chance is not None else None
@@ -207,7 +206,7 @@ class _Run:
     def _warm_up(self, kernels: Any) -> None:
         """Compile in this thread, with empty windows: the compiler is locked, others would only wait."""
         self._backward(kernels, (0, 0, 0, 0))
-        self._forward(kernels, _Part(0, np.zeros((REPLICAS, 1))), np.ones(1), _SUN_STREAM, (0, 0, 0, 0))
+        self._forward(kernels, _Part(0, np.zeros((REPLICAS, 1))), np.ones(1), layout.SUN, (0, 0, 0, 0))
 
     def _add(self, pool: ThreadPoolExecutor, kernels: Any, part: _Part) -> None:
         """Bring `part` from `done` to `points`, in batches short enough for Ctrl-C."""
@@ -224,8 +223,8 @@ class _Run:
         if part is self.back:
             return self._backward(kernels, window)
         if part is self.sun:
-            return self._forward(kernels, part, self.sun_chance, _SUN_STREAM, window)
-        return self._forward(kernels, part, self.sky_chance, _SKY_STREAM, window)
+            return self._forward(kernels, part, self.sun_chance, layout.SUN, window)
+        return self._forward(kernels, part, self.sky_chance, layout.SKYLIGHT, window)
 
     def _backward(self, kernels: Any, window: tuple[int, int, int, int]) -> int:
         return int(
@@ -236,12 +235,12 @@ class _Run:
         )  # fmt: skip
 
     def _forward(
-        self, kernels: Any, part: _Part, chance: Any, stream: int, window: tuple[int, int, int, int]
+        self, kernels: Any, part: _Part, chance: Any, source: int, window: tuple[int, int, int, int]
     ) -> int:
         return int(
-            kernels.forward(
-                self.g, self.light, chance, self.directions, self.seed, stream, stream == _SKY_STREAM, window,
-                part.sums, part.energy,
+            kernels.photons(
+                self.g, self.light, self.patches, chance, self.directions, self.seed, source, REPLICAS, True,
+                False, 0, window, part.sums, part.sums, part.energy,
             )
         )  # fmt: skip
 
@@ -315,7 +314,7 @@ class _Run:
 
     def energy(self) -> EnergyBalance:
         """Return the energy account of all photons, W."""
-        total = np.zeros(6)
+        total = np.zeros(8)
         for part in (self.sun, self.sky):
             if part is not None:
                 total += part.energy.sum(axis=0) / (part.done * REPLICAS)
@@ -340,27 +339,3 @@ class _Run:
 def _standard_error(replicas: FloatArray) -> FloatArray:
     """Return the standard error of the mean over the last axis."""
     return np.asarray(replicas.std(axis=-1, ddof=1) / np.sqrt(replicas.shape[-1]))
-
-
-def _chances(g: Geometry, light: Light, *, from_sky: bool) -> FloatArray | None:
-    """Return the cumulative probabilities of the sides to start a photon, (2 m,); ``None`` without light.
-
-    In proportion to the power a surface can receive; a matte one counts a quarter, because its photons must
-    first find a lobe.  A surface seen edge-on by the centre of the sun still gets the part of the disc it
-    sees.
-    """
-    normal = np.stack([g.normal, -g.normal], axis=1)  # (m, 2, 3): both sides
-    if from_sky:
-        weight = (0.5 + 0.5 * normal[:, :, 2]) * (light.dhi > 0.0)
-    else:
-        rim = np.sqrt(light.disc * (2.0 - light.disc))
-        weight = np.maximum(0.0, normal @ light.sun + rim) * (light.dni > 0.0)
-    weight[g.sides == 1, 1] = 0.0
-    shiny = g.materials[g.optics, layout.RHO_S] > 0.0
-    weight = (weight * (g.area * np.where(shiny, 1.0, 0.25))[:, None]).ravel()
-    if not np.any(weight > 0.0):
-        return None
-    chance = np.cumsum(weight)
-    chance /= chance[-1]
-    chance[np.flatnonzero(weight)[-1] :] = 1.0
-    return np.asarray(chance)

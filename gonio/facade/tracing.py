@@ -37,16 +37,24 @@ def fresnel_mean(cosine: float, n2: float) -> float:
 
 @compiled
 def coefficients(g: Any, k: int, cosine: float, conserving: bool) -> Any:
-    """Return ``(k_d, k_s)`` of primitive `k` at incidence `cosine`.
+    """Return ``(k_d, k_s)`` of primitive `k` for unpolarised light at incidence `cosine`."""
+    m = g.optics[k]
+    if g.materials[m, RHO_S] == 0.0:
+        return g.materials[m, RHO_D], 0.0
+    r = 1.0 if g.materials[m, CONSTANT] > 0.0 else fresnel_mean(cosine, g.materials[m, N2])
+    return shared(g, k, r, conserving)
+
+
+@compiled
+def shared(g: Any, k: int, r: float, conserving: bool) -> Any:
+    """Return ``(k_d, k_s)`` of primitive `k` where the interface reflects the part `r`.
 
     Conserving: the diffuse part takes what the lobe leaves; otherwise both are as published, whatever their
     sum.
     """
     m = g.optics[k]
     k_d = g.materials[m, RHO_D]
-    k_s = g.materials[m, RHO_S]
-    if k_s > 0.0 and g.materials[m, CONSTANT] == 0.0:
-        k_s *= fresnel_mean(cosine, g.materials[m, N2])
+    k_s = g.materials[m, RHO_S] * r
     if conserving:
         k_s = min(k_s, 1.0)
         k_d = min(k_d, 1.0 - k_s)
