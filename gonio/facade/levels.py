@@ -1,8 +1,8 @@
 """What does the material change?  The same scene at each material level, and the differences.
 
-The paper's question as a table: every glossy material of the scene at one level after the other, all bands, the
-same random numbers.  A difference is formed replica by replica, so its standard error is its own and mostly
-much smaller than those of the two values.
+The paper's question as a table: every glossy material of the scene at one level after the other, all bands,
+the same random numbers.  A difference is formed replica by replica, so its standard error is its own and
+mostly much smaller than those of the two values.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class LevelTable:
         return 100.0 * result.difference / np.maximum(reference, 1e-300)
 
     def sufficient(self, number: int) -> Level:
-        """Return the lowest level that a receiver's mean needs: difference and 3 standard errors of it fit."""
+        """Return the lowest level that a receiver's mean needs: difference and 3 standard errors fit."""
         reference = max(float(self.levels[-1].value[number]), self.floor_w_m2)
         for result in self.levels[:-1]:
             reach = abs(result.difference[number]) + SIGNIFICANT * result.difference_error[number]
@@ -88,9 +88,8 @@ class LevelTable:
 
     def text(self) -> str:
         """Return the table and what follows from it."""
-        lines = [
-            f"{'receiver':<16}{'level':<18}{'W/m2':>19}{'difference W/m2':>21}{'%':>9}{'patches %':>11}{'s':>8}"
-        ]
+        head = f"{'receiver':<16}{'level':<18}{'W/m2':>19}"
+        lines = [head + f"{'difference W/m2':>21}{'%':>9}{'patches %':>11}{'s':>8}"]
         for number, name in enumerate(self.receivers):
             reference = max(float(self.levels[-1].value[number]), self.floor_w_m2, 1e-300)
             for result in self.levels:

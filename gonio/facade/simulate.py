@@ -240,7 +240,7 @@ class _Run:
         return int(
             kernels.photons(
                 self.g, self.light, self.patches, chance, self.directions, self.seed, source, REPLICAS, True,
-                False, 0, window, part.sums, part.sums, part.energy,
+                self.scene.polarised, 0, window, part.sums, part.sums, part.energy,
             )
         )  # fmt: skip
 
