@@ -23,6 +23,7 @@ from gonio.facade.result import (
 )
 from gonio.facade.scene import Scene, load_scene, parse_scene
 from gonio.facade.simulate import simulate
+from gonio.facade.sky import Sky
 from gonio.facade.sun import Sun
 
 __all__ = [
@@ -38,6 +39,7 @@ __all__ = [
     "Optics",
     "Receiver",
     "Scene",
+    "Sky",
     "Sun",
     "Surface",
     "box",

@@ -32,8 +32,21 @@ def light_of(scene: Scene) -> Light:
 
 
 def light_notes(scene: Scene) -> tuple[str, ...]:
-    """Return which sky it is and what of it was moved into its model's range."""
-    return sky.notes(scene.sky or sky.Sky(), scene.sun, _broadband(scene))
+    """Return which sky it is, what of it was moved into its model's range, and what the horizon hides."""
+    found: list[str] = []
+    sun = scene.sun
+    radius_deg = 0.5 * sun.angular_diameter_deg
+    if not sun.is_up:
+        unused = f"; the given DNI of {scene.dni_w_m2:.1f} W/m2 is not used" if scene.dni_w_m2 > 0.0 else ""
+        found.append(f"the sun is below the horizon: no direct light{unused}")
+    elif scene.dni_w_m2 > 0.0 and sun.elevation_deg < radius_deg:
+        x = sun.elevation_deg / radius_deg
+        hidden = (math.acos(x) - x * math.sqrt(1.0 - x * x)) / math.pi
+        found.append(
+            f"the sun's centre is {sun.elevation_deg:.3f} deg above the horizon, which hides "
+            f"{100.0 * hidden:.1f} % of its disc; the DNI is that of the whole disc"
+        )
+    return (*found, *sky.notes(scene.sky or sky.Sky(), sun, _broadband(scene)))
 
 
 def _broadband(scene: Scene) -> tuple[float, float]:

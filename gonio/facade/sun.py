@@ -34,7 +34,7 @@ class Sun:
 
     @property
     def is_up(self) -> bool:
-        """Whether the centre of the disc is above the horizon."""
+        """Whether the centre of the disc is above the horizon; only then is there direct light."""
         return self.elevation_deg > 0.0
 
 
