@@ -1,7 +1,7 @@
 """In which spectral bands is the light carried, and how much of it lies in each?
 
-The engine carries one band at a time, with materials averaged over it.  A scene of several bands is their sum,
-each with its share of the direct and of the diffuse irradiance.
+The engine carries one band at a time, with materials averaged over it.  A scene of several bands is their
+sum, each with its share of the direct and of the diffuse irradiance.
 """
 
 from __future__ import annotations
