@@ -202,18 +202,28 @@ class Material:
         step = np.gradient(at) if at.size > 1 else np.ones(1)
         if at.size > 1:
             step[[0, -1]] *= 0.5  # the ends of the trapezoidal rule
-        share = step if weight is None else step * np.asarray(weight(at), np.float64)
+        share = np.zeros(self.wavelength_nm.size)
+        share[use] = step if weight is None else step * np.asarray(weight(at), np.float64)
         if not (np.all(np.isfinite(share)) and np.all(share >= 0.0) and np.sum(share) > 0.0):
             raise GonioError(
                 f"band {low_nm:g}...{high_nm:g} nm: the weight must be a number of at least 0 at every "
                 f"wavelength of material '{self.name}' and positive somewhere; give one that covers the band"
             )
-        share = share / np.sum(share)
-        rho_s, n2, alpha = self._band_lobe(use, share)
+        return self.averaged(share, f"{self.name}, {low_nm:g}-{high_nm:g} nm")
+
+    def averaged(self, share: ArrayLike, name: str) -> Material:
+        """Return one entry that stands for all wavelengths in the proportions of `share`, (m,) >= 0.
+
+        What is conserved: see `band`.  `gonio.spectral.band_weights` gives the shares of a spectral weight.
+        """
+        parts = np.asarray(share, np.float64)
+        use = parts > 0.0
+        parts = parts[use] / np.sum(parts[use])
+        rho_s, n2, alpha = self._band_lobe(use, parts)
         return Material(
-            f"{self.name}, {low_nm:g}-{high_nm:g} nm",
-            np.array([np.sum(share * at)]),
-            np.array([np.sum(share * self.rho_d[use])]),
+            name,
+            np.array([np.sum(parts * self.wavelength_nm[use])]),
+            np.array([np.sum(parts * self.rho_d[use])]),
             np.array([rho_s]),
             np.array([alpha]),
             np.array([n2]),

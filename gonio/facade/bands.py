@@ -10,8 +10,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from gonio.errors import SceneError
-from gonio.facade.optics import Optics
+from gonio.facade.optics import FloatArray, Optics
+from gonio.spectral import am15g
 
 SHARES = 1e-9
 """Distance from 1 at which the shares of all bands still make up the whole."""
@@ -47,6 +50,10 @@ def check(bands: Sequence[Band], materials: Mapping[str, Optics]) -> None:
     """Raise `SceneError` unless the bands follow each other and share out all light and all materials."""
     if not bands:
         return
+    if len(bands) == 1 and dict(bands[0].materials) != dict(materials):
+        raise SceneError(
+            f"the only band {bands[0].name} has other materials than the scene; change both, or leave it out"
+        )
     before = 0.0
     for band in bands:
         if not (0.0 < band.low_nm < band.high_nm < math.inf):
@@ -74,3 +81,24 @@ def check(bands: Sequence[Band], materials: Mapping[str, Optics]) -> None:
             raise SceneError(
                 f"the bands' {key} add up to {total:.10g}; they must add up to 1, or light is lost or doubled"
             )
+
+
+def power_shares(limits_nm: Sequence[tuple[float, float]]) -> FloatArray:
+    """Return the part of the power of AM1.5G (ASTM G173-03) in each band, of that in all of them; sums to 1.
+
+    `SceneError` for a band without power: the spectrum runs from 280 to 4000 nm.
+    """
+    power = []
+    for low, high in limits_nm:
+        knots = np.unique(np.concatenate([[low, high], np.arange(280.0, 4000.25, 0.5)]))  # all of its entries
+        knots = knots[(knots >= low) & (knots <= high)]
+        value = am15g(knots)
+        power.append(float(np.sum(0.5 * np.diff(knots) * (value[1:] + value[:-1]))))
+        if not power[-1] > 0.0:
+            raise SceneError(
+                f"band {low:g}-{high:g} nm has no power in AM1.5G, which runs from 280 to 4000 nm; "
+                "give bands within, or the shares by dni_share and dhi_share"
+            )
+    share = np.asarray(power) / math.fsum(power)
+    share[-1] = 1.0 - math.fsum(share[:-1])
+    return np.asarray(share)

@@ -12,14 +12,10 @@ ground: from the left facade to the right one).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-
-from gonio.errors import SceneError
-from gonio.facade.optics import Optics
 
 FloatArray = NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -27,7 +23,11 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """A named opaque rectangle; `rows` and `columns` (0: none) divide it into the patches of a receiver."""
+    """A named opaque rectangle; `rows` and `columns` (0: none) divide it into the patches of a receiver.
+
+    With `sides` 2 it reflects on its back as well, which is black otherwise.  The patches of a receiver are
+    on its front, whatever its sides.  Where surfaces lie in one plane, the one declared last hides the rest.
+    """
 
     name: str
     origin_m: Vector
@@ -54,6 +54,8 @@ class Surface:
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
     """Opaque triangles; with `receiver` every face is a patch of the result, on its front.
+
+    From a file by `gonio.facade.mesh.read_mesh`, or from arrays.
 
     Parameters
     ----------
@@ -143,42 +145,3 @@ def box(
 def _vector(array: FloatArray) -> Vector:
     x, y, z = (float(c) + 0.0 for c in array)
     return x, y, z
-
-
-def check(surfaces: Sequence[Surface], materials: Mapping[str, Optics], *, periodic: bool) -> None:
-    """Raise `SceneError` for a surface that cannot be traced: no area, no material, a name used twice."""
-    seen: set[str] = set()
-    for s in surfaces:
-        if s.name in seen:
-            raise SceneError(f"two surfaces are called '{s.name}'; give each its own name")
-        seen.add(s.name)
-        edges = np.array([s.origin_m, s.u_m, s.v_m])
-        if not np.all(np.isfinite(edges)):
-            raise SceneError(
-                f"surface '{s.name}' has a coordinate that is not a finite number of metres; correct it"
-            )
-        lengths = np.linalg.norm(edges[1:], axis=1)
-        if np.min(lengths) == 0.0 or s.area_m2 < 1e-9 * float(np.prod(lengths)):
-            raise SceneError(
-                f"surface '{s.name}' has an area of {s.area_m2:g} m2 "
-                f"(edges {lengths[0]:g} m and {lengths[1]:g} m); "
-                "give it two edges that span a rectangle"
-            )
-        if s.material not in materials:
-            raise SceneError(
-                f"surface '{s.name}' is made of '{s.material}', which is not among the materials "
-                f"({', '.join(sorted(materials)) or 'none'}); name one of them or add it"
-            )
-        if (s.rows > 0) != (s.columns > 0) or min(s.rows, s.columns) < 0:
-            raise SceneError(
-                f"receiver '{s.name}' has {s.rows} x {s.columns} patches; give at least 1 row and 1 column"
-            )
-    if periodic:
-        cell = np.asarray(surfaces[0].u_m) if surfaces else np.zeros(3)
-        for s in surfaces:
-            u = np.asarray(s.u_m)
-            if np.linalg.norm(u - cell) > 1e-9 * np.linalg.norm(cell):
-                raise SceneError(
-                    f"surface '{s.name}' does not run along the infinite street for the length of its cell; "
-                    "set street.infinite = false to mix the street with other bodies"
-                )

@@ -90,17 +90,15 @@ def read_mesh(
         )
     of_face = of_face[keep.faces]
     vertices = _placed(vertices * scale, up or ("y" if path.suffix.lower() in _Y_UP else "z"), azimuth_deg)
-    closed = False
-    if sides != 2 and not both_ways:
+    reflecting = sides if sides != "auto" else 2
+    if sides == "auto" and not both_ways:
         wound = wind(vertices, faces)
-        closed = wound.closed
-        if sides == "auto" and (closed or wound.turned):
-            faces = wound.faces
-            if wound.turned:
-                notes.append(f"{wound.turned} faces were turned outwards")
-    reflecting = (1 if closed else 2) if sides == "auto" else sides
+        faces = wound.faces
+        reflecting = 1 if wound.closed else 2
+        if wound.turned:
+            notes.append(f"{wound.turned} faces were turned outwards")
     if sides == "auto":
-        notes.append("closed, one side reflects" if closed else "open, both sides reflect")
+        notes.append("open, both sides reflect" if reflecting == 2 else "closed, one side reflects")
     extent = np.ptp(vertices[faces].reshape(-1, 3), axis=0)
     size = " x ".join(f"{x:.4g}" for x in extent)
     if not _SMALL_M < float(np.max(extent)) < _LARGE_M:

@@ -21,6 +21,10 @@ Energy = Literal["conserving", "published"]
 Horizon = Literal["absorb", "renormalize"]
 
 
+MIRROR_ALPHA = 1e9
+"""Exponent that stands for a mirror: 95 % of the light within 0.0044 deg."""
+
+
 class EnergyWarning(UserWarning):
     """A material as published returns more light than it receives at some incidence."""
 
@@ -67,6 +71,18 @@ class Optics:
         if rho_s == 0.0:
             return cls(rho_d)
         return cls(rho_d, rho_s, alpha, n2)
+
+    @classmethod
+    def two_coefficients(cls, k_d: float, k_s: float) -> Optics:
+        """Return a Lambert surface with a mirror, whose coefficients are the same at every incidence.
+
+        `SceneError` if they add up to more than 1.
+        """
+        if k_d + k_s > 1.0:
+            raise SceneError(
+                f"k_d + k_s = {k_d:g} + {k_s:g} returns more light than arrives; they must not exceed 1"
+            )
+        return cls(k_d, k_s, MIRROR_ALPHA, 1.0, constant=True)
 
     def row(self) -> tuple[float, float, float, float, float]:
         """Return the row of `gonio.facade.layout.Geometry.materials`."""

@@ -5,17 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from gonio.config import parse_toml, read_toml, validate
 from gonio.errors import GonioError, SceneError
-from gonio.facade import geometry
+from gonio.facade.assembly import meshes_of, surfaces_of
 from gonio.facade.bands import Band
 from gonio.facade.bands import check as check_bands
+from gonio.facade.checks import check_shapes
 from gonio.facade.geometry import Mesh, Surface
+from gonio.facade.materials import read_materials
 from gonio.facade.optics import Energy, Horizon, Optics, excess_text
-from gonio.facade.scene_file import MaterialTable, SceneTable
-from gonio.facade.sun import Site, Sun, clear_sky, sun_at
+from gonio.facade.remarks import remarks
+from gonio.facade.scene_file import SceneTable
+from gonio.facade.sky import Sky
+from gonio.facade.sun import Site, Sun, clear_sky, extraterrestrial, sun_at
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +28,8 @@ class Scene:
     Parameters
     ----------
     surfaces
-        Opaque rectangles; those with rows and columns are receivers.
+        Opaque rectangles; those with rows and columns are receivers.  Where some lie in one plane, the last
+        one hides the others.
     materials
         By the name the surfaces use.
     sun
@@ -44,7 +48,7 @@ class Scene:
     bands
         None, or the bands whose sum is the light of the scene; `materials` is then their average.
     sky
-        How the diffuse light is spread over the sky; None: evenly.
+        How the diffuse light is spread over the sky; evenly by default.
     polarised
         Whether light keeps its polarization from one lobe to the next.
     broadband_w_m2
@@ -53,7 +57,8 @@ class Scene:
     Raises
     ------
     SceneError
-        Surfaces without area or material, no receiver, negative or non-finite irradiance.
+        No surface, surfaces or faces without area or material, no receiver, a name used twice, meshes in an
+        endless street, bands that do not add up, negative or non-finite irradiance.
     """
 
     surfaces: tuple[Surface, ...]
@@ -69,12 +74,12 @@ class Scene:
     notes: tuple[str, ...] = field(default=())
     meshes: tuple[Mesh, ...] = ()
     bands: tuple[Band, ...] = ()
-    sky: Any = None
+    sky: Sky = field(default_factory=Sky)
     polarised: bool = False
     broadband_w_m2: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        geometry.check(self.surfaces, self.materials, periodic=self.infinite)
+        check_shapes(self.surfaces, self.meshes, self.materials, periodic=self.infinite)
         for name in ("dni_w_m2", "dhi_w_m2"):
             value = getattr(self, name)
             if not 0.0 <= value < float("inf"):
@@ -82,13 +87,18 @@ class Scene:
         check_bands(self.bands, self.materials)
         if not self.receivers and not any(mesh.receiver for mesh in self.meshes):
             raise SceneError(
-                "the scene has no receiver; give at least one surface rows and columns ([[receivers]])"
+                "the scene has no receiver; give at least one surface rows and columns ([[receivers]]), or a "
+                "mesh receiver = true"
             )
 
     @property
     def receivers(self) -> tuple[Surface, ...]:
         """The surfaces with patches, in the order of `surfaces`."""
         return tuple(s for s in self.surfaces if s.rows > 0)
+
+    def remarks(self) -> tuple[str, ...]:
+        """Return what is probably not meant: receivers under other surfaces or under the ground."""
+        return remarks(self.surfaces, self.meshes, periodic=self.infinite)
 
     @property
     def direct_w_m2(self) -> float:
@@ -130,84 +140,51 @@ def load_scene(path: str | Path) -> Scene:
 
 
 def parse_scene(text: str, *, source: str = "scene.toml", folder: Path | None = None) -> Scene:
-    """Return the scene of TOML text; scans are found relative to `folder`; errors as `load_scene`."""
+    """Return the scene of TOML text; scans and meshes are found relative to `folder`; errors as `load_scene`.
+
+    A result file keeps the text: ``parse_scene(irradiance.scene_text, folder=...)`` makes the scene again.
+    """
     try:
         table = validate(SceneTable, parse_toml(text, source=source), source=source)
     except GonioError as error:
         raise SceneError(str(error)) from None
-    surfaces = _surfaces(table, source)
-    materials = {name: _optics(name, m, source, folder or Path()) for name, m in table.materials.items()}
+    folder = folder or Path()
     notes: list[str] = []
-    sun, dni, dhi = _light(table, notes)
+    surfaces = surfaces_of(table, source)
+    meshes = meshes_of(table, folder, source, notes)
+    materials, bands, sentences = read_materials(table.materials, table.spectrum, folder, source)
+    notes += sentences
+    sun, dni, dhi, sky = _light(table, notes)
+    used = {s.material for s in surfaces}.union(*(m.materials for m in meshes))
     for name, optics in materials.items():
-        if any(s.material == name for s in surfaces):
-            sentence = excess_text(name, optics, table.reflection.energy)
-            if sentence:
-                notes.append(sentence)
+        sentence = excess_text(name, optics, table.reflection.energy) if name in used else None
+        if sentence:
+            notes.append(sentence)
+    infinite = table.street is not None and table.street.infinite
     try:
-        return Scene(
+        scene = Scene(
             surfaces=surfaces,
             materials=materials,
             sun=sun,
             dni_w_m2=dni,
             dhi_w_m2=dhi,
             title=table.title,
-            infinite=table.street is not None and table.street.infinite,
+            infinite=infinite,
             energy=table.reflection.energy,
             horizon=table.reflection.horizon,
             text=text,
-            notes=tuple(notes),
+            meshes=meshes,
+            bands=bands,
+            sky=sky,
+            polarised=table.reflection.polarised,
         )
     except SceneError as error:
         raise SceneError(f"{source}: {error}") from None
+    return replace(scene, notes=(*notes, *scene.remarks()))
 
 
-def _surfaces(table: SceneTable, source: str) -> tuple[Surface, ...]:
-    surfaces: list[Surface] = []
-    if table.street is not None:
-        surfaces += geometry.street(**table.street.model_dump(exclude={"infinite"}))
-    for b in table.boxes:
-        surfaces += geometry.box(
-            b.name, centre_m=b.centre_m, size_m=b.size_m, azimuth_deg=b.azimuth_deg, material=b.material
-        )
-    index = {s.name: i for i, s in enumerate(surfaces)}
-    for number, r in enumerate(table.receivers, start=1):
-        where = f"{source}: receivers[{number}].surface = '{r.surface}'"
-        if r.surface not in index:
-            raise SceneError(f"{where} is not a surface of the scene; choose among {', '.join(index)}")
-        i = index[r.surface]
-        if surfaces[i].rows:
-            raise SceneError(f"{where} has a receiver already; keep one of the two grids")
-        surfaces[i] = replace(surfaces[i], rows=r.rows, columns=r.columns)
-    return tuple(surfaces)
-
-
-def _optics(name: str, m: MaterialTable, source: str, folder: Path) -> Optics:
-    if m.albedo is not None:
-        return Optics(m.albedo)
-    if m.scan is None:
-        assert m.rho_d is not None
-        assert m.rho_s is not None
-        assert m.alpha is not None
-        assert m.n2 is not None
-        return Optics(m.rho_d, m.rho_s, m.alpha, m.n2)
-    from gonio.material import Material
-
-    where = f"{source}: materials.{name}.scan = '{m.scan}'"
-    scan = folder / m.scan
-    if not scan.is_file():
-        raise SceneError(
-            f"{where}: there is no such file beside the scene; measure and fit it first, or correct the name"
-        )
-    try:
-        material = Material.from_file(scan, fit=m.fit).band(*m.band_nm)
-        return Optics.from_material(material)
-    except GonioError as error:
-        raise SceneError(f"{where}: {error}") from None
-
-
-def _light(table: SceneTable, notes: list[str]) -> tuple[Sun, float, float]:
-    """Return sun, DNI and DHI, and note where they come from."""
+def _light(table: SceneTable, notes: list[str]) -> tuple[Sun, float, float, Sky]:
+    """Return sun, DNI, DHI and sky, and note where they come from."""
     site = None
     if table.site is not None:
         site = Site(**table.site.model_dump())
@@ -227,4 +204,8 @@ def _light(table: SceneTable, notes: list[str]) -> tuple[Sun, float, float]:
     if not sun.is_up:
         ignored = f"; the given DNI of {dni:.1f} W/m2 is not used" if dni > 0.0 else ""
         notes.append(f"the sun is below the horizon: no direct light{ignored}")
-    return sun, dni, dhi
+    outside = table.sky.extraterrestrial_w_m2
+    if outside is None and site is not None:
+        outside = extraterrestrial(site)
+    sky = Sky(table.sky.model) if outside is None else Sky(table.sky.model, outside)
+    return sun, dni, dhi, sky

@@ -92,7 +92,7 @@ def test_a_good_file_is_read_completely() -> None:
         ("dni_w_m2 = 800.0", "dni_w_m2 = nan", "irradiance.dni_w_m2"),
         ("elevation_deg = 40.0", "", "needs both azimuth_deg and elevation_deg"),
         ("elevation_deg = 40.0", "elevation_deg = 140.0", "sun.elevation_deg = 140.0"),
-        ("[irradiance]", '[sky]\nmodel = "perez"\n[irradiance]', 'not available yet; use model = "iso'),
+        ("[irradiance]", "[sky]\nmodel = 3\n[irradiance]", "sky.model = 3"),
         ("[irradiance]", '[sky]\nmodel = "foggy"\n[irradiance]', "sky.model = 'foggy'"),
         ("[irradiance]", '[reflection]\nenergy = "free"\n[irradiance]', "reflection.energy = 'free'"),
         ("[irradiance]", SITE + "[irradiance]", "the sun is given twice"),
@@ -143,9 +143,9 @@ def test_missing_file_and_scene_without_surfaces(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="there is no such file"):
         load_scene(tmp_path / "none.toml")
     head = GOOD[: GOOD.index("[street]")]
-    with pytest.raises(SceneError, match=r"no surfaces; add \[street\] or \[\[boxes\]\]"):
+    with pytest.raises(SceneError, match=r"no surfaces; add \[street\], \[\[boxes\]\], \[\[meshes\]\]"):
         parse_scene(head + '[[receivers]]\nsurface = "left"\nrows = 1\ncolumns = 1\n')
-    with pytest.raises(SceneError, match="receivers is missing; add it"):
+    with pytest.raises(SceneError, match="where is the irradiance wanted"):
         parse_scene(GOOD[: GOOD.index("[[receivers]]")])
     with pytest.raises(SceneError, match="where is the irradiance wanted"):
         parse_scene("receivers = []\n" + GOOD[: GOOD.index("[[receivers]]")])
