@@ -1,4 +1,4 @@
-"""`gonio fit`, `gonio facade`, `gonio report`: what is done with stored data."""
+"""`gonio fit`, `gonio report`: what is done with stored data."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pathlib import Path
 
 from gonio.cli.budget import BudgetRequest, with_budget
 from gonio.cli.fit_options import FitRequest
-from gonio.cli.progress import progress_bar, readable_duration
+from gonio.cli.progress import readable_duration
 from gonio.cli.side_by_side import apertures_text, identifiability_text, instrument_text, models_text
 from gonio.cli.sphere import SphereRequest, bring_in, sphere_text
 from gonio.devices import FloatArray
-from gonio.errors import ConfigError, StoreError
+from gonio.errors import StoreError
 from gonio.fitting import FitResult
 from gonio.fitting import fit as fit_scan
 from gonio.store import Scan, load, read_spectrum
@@ -74,26 +74,6 @@ def _columns(path: Path, group: str) -> dict[str, FloatArray] | None:
         return read_spectrum(path, group)
     except StoreError:
         return None
-
-
-def facade(scene_file: Path, output: Path, *, rel_tol: float, seed: int, threads: int | None) -> int:
-    """Simulate a street scene and store the irradiance."""
-    if not 0 < rel_tol < 1:
-        raise ConfigError(
-            f"--rel-tol {rel_tol:g} is not between 0 and 1; 0.01 asks for a standard error of 1 %"
-        )
-    if output.exists():
-        raise StoreError(f"{output} exists already; choose another name with -o, or remove it")
-    from gonio.facade import load_scene, simulate
-
-    scene = load_scene(scene_file)
-    start = time.perf_counter()
-    with progress_bar("facade", 1.0) as bar:
-        irradiance = simulate(scene, rel_tol=rel_tol, seed=seed, threads=threads, progress=bar.update)
-    irradiance.save(output)
-    print(irradiance.table())
-    print(f"{readable_duration(time.perf_counter() - start)}; stored in {output}")
-    return 0
 
 
 def report(file: Path, output: Path | None, facade_file: Path | None) -> int:

@@ -13,6 +13,7 @@ from types import FrameType
 
 from gonio import __version__
 from gonio.cli.budget import add_budget_options, budget_request
+from gonio.cli.facade import add_facade_options, facade, facade_request
 from gonio.cli.fit_options import add_fit_options, fit_request
 from gonio.cli.sphere import add_sphere_options, sphere_request
 from gonio.errors import GonioError, ScanStopped
@@ -82,22 +83,10 @@ def build_parser() -> argparse.ArgumentParser:
     add_budget_options(fit)
     add_sphere_options(fit)
 
-    facade = commands.add_parser(
+    facade_parser = commands.add_parser(
         "facade", help="irradiance of a street scene, with standard errors and contributions"
     )
-    facade.add_argument("scene", type=Path, metavar="SCENE.toml")
-    facade.add_argument("-o", "--output", type=Path, metavar="OUT.h5")
-    facade.add_argument(
-        "--rel-tol", type=float, default=0.01, metavar="X", help="relative standard error (default 0.01)"
-    )
-    facade.add_argument("--full", action="store_true", help="leave nothing out (so far nothing ever is)")
-    facade.add_argument(
-        "--levels",
-        action="store_true",
-        help="what does the material change? a table of all material levels; writes no file",
-    )
-    facade.add_argument("--seed", type=int, default=0)
-    facade.add_argument("--threads", type=int, default=None)
+    add_facade_options(facade_parser)
 
     report = commands.add_parser("report", help="figures and one HTML page of a scan or of a facade result")
     report.add_argument("file", type=Path, metavar="FILE.h5")
@@ -215,22 +204,8 @@ def _run(options: argparse.Namespace) -> int:
             sphere=sphere_request(options),
             budget=budget_request(options),
         )
-    if options.command == "facade" and options.levels:
-        from gonio.cli.facade_levels import facade_levels
-
-        return facade_levels(
-            options.scene, rel_tol=options.rel_tol, seed=options.seed, threads=options.threads
-        )
     if options.command == "facade":
-        from gonio.cli.analysis import facade
-
-        if options.output is None:
-            print("gonio facade: where to? give -o OUT.h5 (or --levels for a table only)", file=sys.stderr)
-            return 2
-
-        return facade(
-            options.scene, options.output, rel_tol=options.rel_tol, seed=options.seed, threads=options.threads
-        )
+        return facade(facade_request(options))
     if options.command == "report":
         from gonio.cli.analysis import report
 

@@ -90,7 +90,10 @@ def _entry_points(digest: int) -> tuple[Any, Any, Any]:
     return backward, photons, rows
 
 
-backward, photons, rows = _entry_points(_digest())
+DIGEST = _digest()
+"""Of all sources that the kernels are compiled from."""
+
+backward, photons, rows = _entry_points(DIGEST)
 
 
 def compiled_already() -> bool:
