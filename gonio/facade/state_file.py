@@ -71,7 +71,9 @@ class Checkpoints:
     prepare
         What to change in a result before it is written, such as options that only the caller knows.
     every_s
-        Time between two writes.  Writing also never takes more than a twentieth of the time.
+        Time between two writes.
+    most_share
+        Of the time that may go into writing: large results are written less often.
     """
 
     def __init__(
@@ -79,10 +81,12 @@ class Checkpoints:
         path: Path,
         prepare: Callable[[Irradiance], Irradiance] = lambda irradiance: irradiance,
         every_s: float = CHECKPOINT_EVERY_S,
+        most_share: float = 0.05,
     ) -> None:
         self.path = path
         self.prepare = prepare
         self.every_s = every_s
+        self.most_share = most_share
         self.written = 0
         self._due_s = time.monotonic() + every_s
 
@@ -93,5 +97,6 @@ class Checkpoints:
             return
         self.prepare(so_far()).save(self.path)
         ended_s = time.monotonic()
-        self._due_s = ended_s + max(self.every_s, 20.0 * (ended_s - started_s))
+        between_s = (ended_s - started_s) * (1.0 / self.most_share - 1.0)
+        self._due_s = ended_s + max(self.every_s, between_s)
         self.written += 1
