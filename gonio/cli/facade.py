@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gonio.cli.progress import Bar, progress_bar, readable_duration
 from gonio.errors import ConfigError, SceneError, StoreError
 
 if TYPE_CHECKING:
+    from gonio.cli.progress import Bar
     from gonio.facade import Irradiance, Scene
 
 DEFAULT_REL_TOL = 0.01
@@ -34,6 +34,7 @@ class FacadeRequest:
     estimator: str | None
     seed: int | None
     threads: int | None
+    levels: bool
 
 
 def add_facade_options(parser: argparse.ArgumentParser) -> None:
@@ -56,6 +57,11 @@ def add_facade_options(parser: argparse.ArgumentParser) -> None:
         "--full", action="store_true", help="leave nothing out, whatever the tolerance allows"
     )
     parser.add_argument(
+        "--levels",
+        action="store_true",
+        help="what does the material change? a table of all material levels; writes no file",
+    )
+    parser.add_argument(
         "--estimator",
         choices=ESTIMATORS,
         help="rows: transport rows and a linear solve; paths: path by path; backward: the slow check on both "
@@ -69,7 +75,7 @@ def facade_request(options: argparse.Namespace) -> FacadeRequest:
     """Return what the options ask for."""
     return FacadeRequest(
         options.scene, options.output, options.resume, options.rel_tol, options.full, options.estimator,
-        options.seed, options.threads,
+        options.seed, options.threads, options.levels,
     )  # fmt: skip
 
 
@@ -79,14 +85,32 @@ def facade(request: FacadeRequest) -> int:
         raise ConfigError(
             f"--rel-tol {request.rel_tol:g} is not between 0 and 1; 0.01 asks for an error of 1 %"
         )
+    if request.levels:
+        return _levels(request)
     return _resume(request, request.resume) if request.resume is not None else _new(request)
+
+
+def _levels(request: FacadeRequest) -> int:
+    given = [name for name, value in (("-o", request.output), ("--resume", request.resume)) if value]
+    if given:
+        raise ConfigError(f"gonio facade: --levels prints a table and writes no file; leave out {given[0]}")
+    if request.scene is None:
+        raise ConfigError("gonio facade: which scene? give SCENE.toml --levels")
+    from gonio.cli.facade_levels import facade_levels
+
+    return facade_levels(
+        request.scene,
+        rel_tol=DEFAULT_REL_TOL if request.rel_tol is None else request.rel_tol,
+        seed=request.seed or 0,
+        threads=request.threads,
+    )
 
 
 def _new(request: FacadeRequest) -> int:
     if request.scene is None:
         raise ConfigError("gonio facade: which scene? give SCENE.toml -o OUT.h5, or --resume OUT.h5")
     if request.output is None:
-        raise ConfigError("gonio facade: where to? give -o OUT.h5")
+        raise ConfigError("gonio facade: where to? give -o OUT.h5 (or --levels for a table only)")
     output = request.output
     if output.exists():
         raise StoreError(
@@ -165,6 +189,7 @@ def _run(
     folder: str,
     earlier: Irradiance | None = None,
 ) -> int:
+    from gonio.cli.progress import progress_bar, readable_duration
     from gonio.facade import simulate
     from gonio.facade.state_file import Checkpoints
 

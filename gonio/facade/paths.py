@@ -14,6 +14,7 @@ on a run that was stopped and continued.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -39,6 +40,8 @@ Progress = Callable[[float, str], None]
 REPLICAS = 32
 DARK = 1e-3
 """A receiver with less than this part of DNI + DHI is held to ``rel_tol * DARK * (DNI + DHI)`` instead."""
+
+MAX_RAYS = 2_000_000_000
 
 _BATCH = 1 << 21  # paths between two looks at Ctrl-C and two reports of progress
 _ENERGIES = 8
@@ -283,6 +286,15 @@ class PathsRun:
         """Return the relative error of the receiver that needs most."""
         return float(np.sqrt(sum(self._relative_variances())))
 
+    def replicas(self) -> FloatArray:
+        """Return the irradiance of every patch that each replica alone gives, (n, REPLICAS), W/m2."""
+        return added(self._contributions()).each
+
+    @property
+    def photons(self) -> int:
+        """Photons started so far."""
+        return sum(self.parts[name].done * REPLICAS for name in self.chances)
+
     def receivers(self) -> tuple[Receiver, ...]:
         """Return values and standard errors of all receivers."""
         return receivers_of(self.scene, self.patches, self._contributions(), weight=self._seen_area())
@@ -310,3 +322,10 @@ class PathsRun:
             float(p.energy[:, layout.UNFINISHED].sum()) / (p.done * REPLICAS) for p in self.parts.values()
         )
         return float(np.max(lost) + photons / np.min(self.patches.area))
+
+
+def available_threads() -> int:
+    """Return the number of processors this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return max(1, len(os.sched_getaffinity(0)))
+    return os.cpu_count() or 1

@@ -21,7 +21,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,22 +137,25 @@ def _unseen(outcome: Outcome) -> FloatArray:
 
 def engine(*, seed: int = 0, threads: int | None = None) -> Engine:
     """Return the engine of `gonio.facade.simulate` without its planner."""
-    import importlib
-
-    module: Any = importlib.import_module("gonio.facade.simulate")  # the package gives the function that name
+    from gonio.facade.lighting import light_of
+    from gonio.facade.pack import pack
+    from gonio.facade.paths import MAX_RAYS, PathsRun, available_threads
+    from gonio.facade.result import Irradiance
 
     def one(scene: Scene, rel_tol: float) -> Outcome:
-        run = module._Run(scene, seed, threads or module.available_threads(), None, whole=False)
+        packed = pack(scene.surfaces, scene.materials, meshes=scene.meshes, periodic=scene.infinite)
+        run = PathsRun(
+            scene, packed, light_of(scene), seed=seed, threads=threads or available_threads(), progress=None,
+            whole=False,
+        )  # fmt: skip
         started_s = time.monotonic()
-        reached = run.until(rel_tol, module.MAX_RAYS)
-        irradiance = module.Irradiance(
+        reached = run.until(rel_tol, MAX_RAYS)
+        irradiance = Irradiance(
             receivers=run.receivers(), energy=run.energy(), title=scene.title, scene_text=scene.text,
             seed=seed, rel_tol=rel_tol, relative_error=reached, converged=reached <= rel_tol, rays=run.rays,
             duration_s=time.monotonic() - started_s, notes=(),
         )  # fmt: skip
-        replicas = np.asarray(sum(run._replicas().values()))
-        photons = sum(part.done * module.REPLICAS for part in (run.sun, run.sky) if part is not None)
-        return Outcome(irradiance, replicas, photons)
+        return Outcome(irradiance, run.replicas(), run.photons)
 
     def run(scene: Scene, rel_tol: float, /) -> Outcome:
         parts = [one(scene.in_band(i), rel_tol) for i in range(max(1, len(scene.bands)))]

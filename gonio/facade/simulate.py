@@ -5,7 +5,6 @@ An interrupted run (Ctrl-C) gives what it has, with the state from which `simula
 
 from __future__ import annotations
 
-import os
 import time
 import warnings
 from collections.abc import Callable
@@ -17,13 +16,12 @@ from gonio.errors import ConfigError, SceneError
 from gonio.facade.lighting import light_notes, light_of
 from gonio.facade.optics import EnergyWarning, excess_text
 from gonio.facade.pack import pack
-from gonio.facade.paths import PathsRun, Progress
+from gonio.facade.paths import MAX_RAYS, PathsRun, Progress, available_threads
 from gonio.facade.provenance import now_utc, versions
 from gonio.facade.result import Irradiance
 from gonio.facade.scene import Scene
 from gonio.facade.state_file import State
 
-MAX_RAYS = 2_000_000_000
 Estimator = Literal["auto", "split", "paths", "backward"]
 Checkpoint = Callable[[Callable[[], Irradiance]], None]
 """Called after every batch with a function that returns the result so far."""
@@ -178,10 +176,3 @@ def _afterthoughts(run: PathsRun, reached: float, rel_tol: float, *, interrupted
             f"paths of more than 10 000 reflections were given up; they carried at most {lost:.2g} W/m2"
         )
     return notes
-
-
-def available_threads() -> int:
-    """Return the number of processors this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return max(1, len(os.sched_getaffinity(0)))
-    return os.cpu_count() or 1

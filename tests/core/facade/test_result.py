@@ -51,11 +51,18 @@ def test_file_is_nexus_with_units(result: Irradiance, tmp_path: Path) -> None:
         assert data[data.attrs["signal"]].shape == (3, 2)
         assert [data[axis].shape for axis in data.attrs["axes"]] == [(3,), (2,)]
 
-        def has_units(name: str, item: object) -> None:
-            if isinstance(item, h5py.Dataset) and item.dtype.kind == "f" and "rel" not in name:
-                assert item.attrs["units"] in {"W/m2", "W", "m", "s"}, name
+        seen: set[str] = set()
 
-        file.visititems(has_units)
+        def declares(name: str, item: object) -> None:
+            if isinstance(item, h5py.Dataset) and item.dtype.kind == "f":
+                assert item.attrs["quantity"], name
+                seen.add(item.attrs["units"])
+                if name.startswith("entry/receiver_left/") and "row" not in name and "column" not in name:
+                    assert item.attrs["units"] == "W/m2"
+                    assert "irradiance" in item.attrs["quantity"]
+
+        file.visititems(declares)
+        assert seen <= {"W/m2", "W", "m", "s", "1", "any"}
         assert file["entry/process/scene"].asstr()[()] == "# scene"
 
 
