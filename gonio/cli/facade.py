@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -93,9 +94,9 @@ def facade(request: FacadeRequest) -> int:
 def _levels(request: FacadeRequest) -> int:
     given = [name for name, value in (("-o", request.output), ("--resume", request.resume)) if value]
     if given:
-        raise ConfigError(f"gonio facade: --levels prints a table and writes no file; leave out {given[0]}")
+        return _usage(f"--levels prints a table and writes no file; leave out {given[0]}")
     if request.scene is None:
-        raise ConfigError("gonio facade: which scene? give SCENE.toml --levels")
+        return _usage("which scene? give SCENE.toml --levels")
     from gonio.cli.facade_levels import facade_levels
 
     return facade_levels(
@@ -108,9 +109,9 @@ def _levels(request: FacadeRequest) -> int:
 
 def _new(request: FacadeRequest) -> int:
     if request.scene is None:
-        raise ConfigError("gonio facade: which scene? give SCENE.toml -o OUT.h5, or --resume OUT.h5")
+        return _usage("which scene? give SCENE.toml -o OUT.h5, or --resume OUT.h5")
     if request.output is None:
-        raise ConfigError("gonio facade: where to? give -o OUT.h5 (or --levels for a table only)")
+        return _usage("where to? give -o OUT.h5 (or --levels for a table only)")
     output = request.output
     if output.exists():
         raise StoreError(
@@ -135,8 +136,8 @@ def _resume(request: FacadeRequest, path: Path) -> int:
     if request.output is not None:
         given.append("-o")
     if given:
-        raise ConfigError(
-            f"gonio facade: {', '.join(given)} cannot be changed by --resume, which goes on with the points "
+        return _usage(
+            f"{', '.join(given)} cannot be changed by --resume, which goes on with the points "
             "of its own file; leave out, or simulate anew"
         )
     from gonio.facade import load_irradiance
@@ -220,6 +221,12 @@ def _run(
         return 130
     print(f"{took}; stored in {output}")
     return 0
+
+
+def _usage(text: str) -> int:
+    """Say how the command is used; return the exit code of a wrong use."""
+    print(f"gonio facade: {text}", file=sys.stderr)
+    return 2
 
 
 def _progress(bar: Bar) -> Callable[[float, str], None]:
