@@ -13,6 +13,8 @@ import pytest
 
 from gonio.facade import Irradiance, Optics, Scene, Sun, Surface, simulate
 
+from .peers import radiosity
+
 REFERENCE = Path(__file__).parent / "canyon.csv"
 NAMES = {"wall0": "left", "wall1": "right", "ground": "ground"}
 
@@ -23,6 +25,12 @@ def reference(case: str) -> np.ndarray:
         rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
     found = {(r["surface"], int(r["band"])): float(r["irradiance"]) for r in rows if r["case"] == case}
     return np.array([found[surface, band] for surface in NAMES for band in range(10)])
+
+
+@pytest.mark.parametrize(("case", "dni", "dhi"), [("sky", 0.0, 1.0), ("sun", 1.0, 0.15)])
+def test_two_radiosities_agree(case: str, dni: float, dhi: float) -> None:
+    found = radiosity.bands(1.0, walls=0.72, ground=0.2, dni=dni, dhi=dhi, strips=100)
+    assert found == pytest.approx(reference(case), rel=3e-7)  # the file states 1.1e-6
 
 
 @pytest.mark.parametrize(("case", "dni", "dhi"), [("sky", 0.0, 1.0), ("sun", 1.0, 0.15)])
