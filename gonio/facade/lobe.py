@@ -12,10 +12,10 @@ _TRIES = 200
 
 
 @compiled
-def pair(directions: Any, i: int, dimension: int, key: Any, draws: Any, at: int) -> Any:
-    """Return two numbers in (0, 1): of Sobol point `i` as long as it has dimensions, then hashed ones."""
+def pair(directions: Any, index: Any, dimension: int, key: Any, draws: Any, at: int) -> Any:
+    """Return two numbers in (0, 1): of Sobol point `index` as long as it has dimensions, then hashed ones."""
     if dimension + 1 < directions.shape[0]:
-        return sobol(directions, i, dimension, key), sobol(directions, i, dimension + 1, key)
+        return sobol(directions, index, dimension, key), sobol(directions, index, dimension + 1, key)
     return uniform(draws, at), uniform(draws, at + 1)
 
 

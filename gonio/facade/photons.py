@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from gonio.facade.gray import coordinate, scramblings
 from gonio.facade.intersect import nearest, occluded
 from gonio.facade.layout import (
     ABSORBED,
@@ -30,7 +31,7 @@ from gonio.facade.sampling import (
     cosine_direction,
     key_of,
     mix,
-    sobol,
+    reversed32,
     sun_direction,
     uniform,
 )
@@ -53,6 +54,7 @@ STREAM = 1 << 40
 """Sun, and one more for the sky: the streams of random numbers, beyond every patch number."""
 
 _PATCH_STREAM = 1 << 41
+_ONE = np.uint64(1)
 _LIGHT = 0.05  # of its first weight: below it a photon no longer splits, it goes one way
 
 # Sobol dimensions: 0, 1 place; 2, 3 direction and 4, 5 first lobe (the other way round for the sun, whose
@@ -62,19 +64,46 @@ _HASHED = 1 << 20
 
 
 @compiled
-def _first_light(g: Any, light: Any, directions: Any, i: int, key: Any, chance: Any, source: int) -> Any:
-    """Return ``(power, primitive, point, normal, direction towards the light)`` of point `i`; 0 in the shade.
+def _stepped(directions: Any, x: Any, bit: int) -> Any:
+    """Return six coordinates, as reversed bits, after direction number `bit` of each is added."""
+    return (
+        x[0] ^ reversed32(directions[0, bit]),
+        x[1] ^ reversed32(directions[1, bit]),
+        x[2] ^ reversed32(directions[2, bit]),
+        x[3] ^ reversed32(directions[3, bit]),
+        x[4] ^ reversed32(directions[4, bit]),
+        x[5] ^ reversed32(directions[5, bit]),
+    )
+
+
+@compiled
+def _point(directions: Any, index: Any) -> Any:
+    """Return the first six coordinates of the Sobol point `index`, as reversed bits."""
+    zero = np.uint64(0)
+    x = (zero, zero, zero, zero, zero, zero)
+    bit = 0
+    while index != zero:
+        if index & _ONE:
+            x = _stepped(directions, x, bit)
+        index >>= _ONE
+        bit += 1
+    return x
+
+
+@compiled
+def _first_light(g: Any, light: Any, x: Any, scrambling: Any, chance: Any, source: int) -> Any:
+    """Return ``(power, primitive, point, normal, direction towards the light)``; no power in the shade.
 
     Points are drawn on the primitives' sides with the cumulative probabilities `chance` (2 m,): side 0 and 1
     of the first, of the second, ...
     """
-    u = sobol(directions, i, 0, key)
+    u = coordinate(x[0], scrambling[0])
     at = np.searchsorted(chance, u, side="right")
     at = min(at, chance.shape[0] - 1)
     below = chance[at - 1] if at > 0 else 0.0
     share = chance[at] - below
     a = (u - below) / share  # what is left of the number that chose the side is uniform again
-    b = sobol(directions, i, 1, key)
+    b = coordinate(x[1], scrambling[1])
     k = at // 2
     if g.triangle[k] == 1 and a + b > 1.0:
         a = 1.0 - a
@@ -84,10 +113,10 @@ def _first_light(g: Any, light: Any, directions: Any, i: int, key: Any, chance: 
     if at % 2 == 1:
         n = negative(n)
     if source == SKYLIGHT:
-        d = cosine_direction(n, sobol(directions, i, 2, key), sobol(directions, i, 3, key))
+        d = cosine_direction(n, coordinate(x[2], scrambling[2]), coordinate(x[3], scrambling[3]))
         power = math.pi * sky_radiance(light, d) * g.area[k] / share
     else:
-        d = sun_direction(light, sobol(directions, i, 4, key), sobol(directions, i, 5, key))
+        d = sun_direction(light, coordinate(x[4], scrambling[4]), coordinate(x[5], scrambling[5]))
         power = light.dni * dot(n, d) * g.area[k] / share
     if power <= 0.0 or d[2] <= 0.0 or dot(n, d) <= 0.0:
         return 0.0, k, p, n, d
@@ -114,9 +143,11 @@ def _follow(
     g: Any,
     light: Any,
     directions: Any,
-    i: int,
+    index: Any,
     key: Any,
     draws: Any,
+    v: float,
+    w: float,
     dimension: int,
     to_the_end: bool,
     polarised: bool,
@@ -131,8 +162,8 @@ def _follow(
 ) -> int:
     """Follow light that arrives at `k` along `d`, unpolarised, and of which `power` takes the lobe.
 
-    `dimension` is the Sobol dimension of the first lobe; what comes next takes those from `_NEXT` on, after a
-    first `dimension` beyond it hashed numbers.  Return the number of rays.
+    The first lobe takes the numbers `v` and `w`, what comes next the Sobol dimensions from `dimension` on.
+    Return the number of rays.
     """
     rays = 0
     through_lobe = True
@@ -145,9 +176,11 @@ def _follow(
         _, q, u = _interface(g, k, q, u, -dot(n, d))
     while True:
         at = 8 * rays + 16
-        x, y = pair(directions, i, dimension, key, draws, at)
+        if rays > 0:
+            v, w = pair(directions, index, dimension, key, draws, at)
+            dimension += 2
         if through_lobe:
-            d, m, above = off_the_lobe(g, k, n, d, x, y, light.renormalize, mix(draws ^ np.uint64(at)))
+            d, m, above = off_the_lobe(g, k, n, d, v, w, light.renormalize, mix(draws ^ np.uint64(at)))
             if not above:
                 energy[ABSORBED] += power
                 energy[UNDER_HORIZON] += power
@@ -155,14 +188,13 @@ def _follow(
             if polarised:
                 e = carried(e, m, d)
         else:
-            d = cosine_direction(n, x, y)
+            d = cosine_direction(n, v, w)
             q = 0.0
             u = 0.0
         if rays == MAX_BOUNCES:
             energy[UNFINISHED] += power
             return rays
         rays += 1
-        dimension = max(dimension + 2, _NEXT)
         hit, t, a, b = nearest(g, p, d, k)
         if hit < 0:
             energy[ESCAPED] += power
@@ -275,14 +307,25 @@ def photons(
             key = key_of(seed, _PATCH_STREAM + patch, unit % replicas)
         else:
             key = key_of(seed, STREAM + source, unit)
+        scrambling = scramblings(key)
         for i in range(window[2], window[3]):
+            number = np.uint64(i)
+            index = number ^ (number >> _ONE)
+            if i == window[2]:
+                x = _point(directions, index)
+            else:
+                bit = 0
+                while not number & _ONE:
+                    number >>= _ONE
+                    bit += 1
+                x = _stepped(directions, x, bit)
             draws = mix(key ^ np.uint64(i) * MIX_B)
-            dimension = 2
             lit = True
+            v, w = coordinate(x[2], scrambling[2]), coordinate(x[3], scrambling[3])
             if source == PATCH:
                 k = patches.primitive[patch]
                 p, covered = point_of(
-                    g, patches, patch, sobol(directions, i, 0, key), sobol(directions, i, 1, key)
+                    g, patches, patch, coordinate(x[0], scrambling[0]), coordinate(x[1], scrambling[1])
                 )
                 if covered:
                     continue
@@ -295,11 +338,12 @@ def photons(
                 lit = False
             else:
                 rays += 1
-                power, k, p, n, towards = _first_light(g, light, directions, i, key, chance, source)
+                if source == SKYLIGHT:
+                    v, w = coordinate(x[4], scrambling[4]), coordinate(x[5], scrambling[5])
+                power, k, p, n, towards = _first_light(g, light, x, scrambling, chance, source)
                 if power == 0.0:
                     continue
                 d = negative(towards)
-                dimension = 2 if source != SKYLIGHT else 4
             if follow:
                 own[EMITTED] += power
             bounce = 0
@@ -311,8 +355,8 @@ def photons(
                         if not follow:
                             own[EMITTED] += power * k_s
                         rays += _follow(
-                            g, light, directions, i, key, child, dimension, follow, polarised,
-                            k, p, n, d, power * k_s, own_tally, own_diffuse, own,
+                            g, light, directions, index, key, child, v, w, _NEXT if bounce == 0 else _HASHED,
+                            follow, polarised, k, p, n, d, power * k_s, own_tally, own_diffuse, own,
                         )  # fmt: skip
                     if not follow:
                         break
@@ -326,13 +370,13 @@ def photons(
                     if bounce > MAX_BOUNCES:
                         own[UNFINISHED] += power
                         break
-                if not lit:
-                    x, y = pair(directions, i, 2, key, child, 4)
-                    dimension = 4
+                if lit:
+                    v, w = pair(directions, index, _NEXT if bounce == 1 else _HASHED, key, child, 4)
+                d = cosine_direction(n, v, w)
+                if lit:
+                    v, w = uniform(child, 1), uniform(child, 2)
                 else:
-                    x, y = pair(directions, i, _NEXT if bounce == 1 else _HASHED, key, child, 4)
-                    dimension = _HASHED
-                d = cosine_direction(n, x, y)
+                    v, w = coordinate(x[4], scrambling[4]), coordinate(x[5], scrambling[5])
                 lit = True
                 rays += 1
                 hit, t, _, _ = nearest(g, p, d, k)

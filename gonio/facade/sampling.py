@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numba import njit
+from numba.core.registry import CPUDispatcher
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -20,9 +21,36 @@ def compiled(function: _Function) -> _Function:
     """Compile what runs inside a kernel; `gonio.facade.kernels` keeps the machine code.
 
     Without numba's runtime (`_nrt`): kernels allocate nothing, and with it every access to an array of a
-    tuple counts references, which made a ray 30 times slower.
+    tuple counts references, which made a ray 30 times slower.  Without the wrappers for Python and C, which
+    took 40 % of the time to compile; whoever calls one from Python gets one then.
     """
-    return njit(nogil=True, error_model="numpy", _nrt=False)(function)  # type: ignore[no-any-return]
+    inner = njit(nogil=True, error_model="numpy", _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)(
+        function
+    )
+    inner.__class__ = _Inner
+    return inner  # type: ignore[no-any-return]
+
+
+class _Inner(CPUDispatcher):  # type: ignore[misc]
+    """A compiled function that only compiled functions call, or tests."""
+
+    def __call__(self, *args: Any) -> Any:
+        """Return the value for arguments from Python, through a wrapper compiled on the first call."""
+        wrapper = _WRAPPERS.get(self.py_func)
+        if wrapper is None:
+            wrapper = _WRAPPERS[self.py_func] = _wrapper(self)
+        return wrapper(*args)
+
+
+_WRAPPERS: dict[Callable[..., Any], Callable[..., Any]] = {}
+
+
+def _wrapper(inner: _Inner) -> Any:
+    @njit(nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+    def call(*args: Any) -> Any:
+        return inner(*args)
+
+    return call
 
 
 _ONE = np.uint64(1)
@@ -64,7 +92,8 @@ def uniform(key: Any, counter: Any) -> Any:
 
 
 @compiled
-def _reversed32(x: Any) -> Any:
+def reversed32(x: Any) -> Any:
+    """Return 32 bits in reverse order."""
     x = ((x >> _W16) & _M16) | ((x & _M16) << _W16)
     x = ((x >> _W8) & _M8) | ((x & _M8) << _W8)
     x = ((x >> _W4) & _M4) | ((x & _M4) << _W4)
@@ -84,12 +113,12 @@ def owen(x: Any, scramble: Any) -> Any:
     x = (x * ((scramble >> _S16) | _ONE)) & _LOW32
     x ^= (x * _O2) & _LOW32
     x ^= (x * _O3) & _LOW32
-    return _reversed32(x)
+    return reversed32(x)
 
 
 @compiled
 def sobol(directions: Any, index: Any, dimension: int, key: Any) -> Any:
-    """Return coordinate `dimension` of Sobol point `index`, Owen-scrambled by `key`, strictly inside (0, 1)."""
+    """Return coordinate `dimension` of Sobol point `index`, Owen-scrambled by `key`, inside (0, 1)."""
     x = np.uint64(0)
     rest = np.uint64(index)
     bit = 0
@@ -99,7 +128,7 @@ def sobol(directions: Any, index: Any, dimension: int, key: Any) -> Any:
         rest >>= _ONE
         bit += 1
     scramble = mix(key + np.uint64(dimension) * MIX_B) & _LOW32
-    return (np.float64(owen(_reversed32(x), scramble)) + 0.5) * 2.3283064365386963e-10
+    return (np.float64(owen(reversed32(x), scramble)) + 0.5) * 2.3283064365386963e-10
 
 
 @compiled
