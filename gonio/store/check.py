@@ -15,6 +15,7 @@ import numpy as np
 
 from gonio.aperture import Aperture
 from gonio.errors import ConfigError, StoreError
+from gonio.store.check_facade import check_facade
 from gonio.store.check_values import check_values
 from gonio.store.checked import Checked
 from gonio.store.findings import Finding, Findings
@@ -74,8 +75,9 @@ def _checked(path: Path, file: h5py.File) -> Verdict:
         return Verdict("HDF5 file of another program", found.found)
     kind = found.get(parts.text, "entry/experiment_type") if parts.has("entry/experiment_type") else ""
     if kind == FACADE_TYPE:
-        _check_facade(found, entry)
-        return Verdict("facade result", found.found)
+        interrupted = check_facade(found, entry)
+        beside = f", interrupted; go on with gonio facade --resume {path}" if interrupted else ""
+        return Verdict(f"facade result{beside}", found.found)
     if not parts.has("entry/data"):
         found.add("entry/data", "is missing: no scan is in this file", "give a file written by gonio scan")
         return Verdict("HDF5 file of another program", found.found)
@@ -233,21 +235,6 @@ def _check_plot(found: Findings, place: str, signal: str, axes: tuple[str, ...])
     for name, member in zip((signal, f"{signal}_errors"), members[:2], strict=True):
         if member.shape != shape:
             found.add(f"{place}/{name}", f"has shape {member.shape}, its axes {shape}")
-
-
-def _check_facade(found: Findings, entry: h5py.Group) -> None:
-    receivers = [name for name in entry if name.startswith("receiver_")]
-    if not receivers:
-        found.add("entry", "holds no receiver", "simulate the scene again with gonio facade")
-    found.attribute("", "default", "entry")
-    found.group("entry/process", "NXprocess")
-    for name in receivers:
-        found.group(f"entry/{name}", "NXdata")
-        for part in ("irradiance", "irradiance_errors"):
-            if (values := found.get(found.parts.numbers, f"entry/{name}/{part}", 2, "f")) is not None:
-                found.attribute(f"entry/{name}/{part}", "units", "W/m2")
-                if not np.all(np.isfinite(values) & (values >= 0.0)):
-                    found.add(f"entry/{name}/{part}", "holds values that are no irradiance")
 
 
 def _number(parts: Checked, place: str, attribute: str) -> int | None:
