@@ -1,8 +1,8 @@
 """What does Radiance say?  Irradiance of patches by `rtrace -I`, from the programs in pyradiance's wheel.
 
 Only matte scenes: Radiance's function materials for a lobe are not sampled by its indirect calculation.
-Every batch draws new points on the patches, and with ``-u+`` the ambient rays are drawn at random too, so batches
-scatter as much as they err.
+Every batch draws new points on the patches, and with ``-u+`` the ambient rays are drawn at random too, so
+batches scatter as much as they err.
 """
 
 from __future__ import annotations

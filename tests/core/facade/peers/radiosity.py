@@ -1,8 +1,8 @@
 """What is the irradiance in an endless matte canyon?  Galerkin radiosity with exact view factors, in 2-D.
 
 Strips are constant in exitance; the view factor of two strips that see each other is Hottel's: crossed
-strings minus uncrossed ones, over twice the length.  The shadow's edge falls on a strip's edge, and two widths
-of strips give the limit by Richardson's extrapolation.  Written for the tests, from nothing that `gonio.facade` uses.
+strings minus uncrossed ones, over twice the length.  The shadow's edge falls on a strip's edge, and two
+widths of strips give the limit by Richardson's extrapolation.  Nothing of `gonio.facade` is used.
 """
 
 from __future__ import annotations

@@ -36,8 +36,8 @@ def assert_agree(scene: Scene, peer: mitsuba_peer.Answer | radiance_peer.Answer,
     """Compare patch by patch: the worst difference, and their sum of squares.
 
     A peer's standard error comes from 16 batches, so a difference over its standard error is at worst
-    Student's t with 15 degrees of freedom; a worse one than the limit comes up once in 2000 scenes.  Patches share
-    light, so the sum of squares counts a quarter of them as independent.
+    Student's t with 15 degrees of freedom; a worse one than the limit comes up once in 2000 scenes.
+    Patches share light, so the sum of squares counts a quarter of them as independent.
     """
     value, se = flat(simulate(scene, rel_tol=0.004, seed=11))
     assert value.shape == peer.value.shape
