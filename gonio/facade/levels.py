@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.facade.pilot import Engine, Outcome, difference, engine, means
+from gonio.facade.pilot import Engine, Outcome, compared, engine, means
 from gonio.facade.planner import DARK
 from gonio.facade.reach import lobe_meets_lobe
 from gonio.facade.reduce import LEVELS, Level, at_level, glossy_materials
@@ -161,7 +161,7 @@ def compare_levels(
     results = []
     for level in wanted:
         value, error = means(outcomes[level])
-        found = difference(outcomes[level], reference)
+        found = compared(outcomes[level], reference)
         results.append(
             LevelResult(
                 level,

@@ -1,39 +1,23 @@
-"""By how much do two runs differ at most?  Bounds from pairs of replicas that share their random numbers.
-
-Two scenes run with one seed use the same points in every replica, so what they have in common cancels in the
-difference, replica by replica.  With d the differences of a receiver's patches (mean over the replicas), s
-their standard errors, and rms the root mean square over the patches (weighted with their area),
-
-    rms(true difference) <= rms(d) + t rms(s) + u,
-
-t being Student's quantile at 1 - 1e-4 for the number of replicas.  This holds for any correlation between the
-patches; rms(d) contains the noise once already, so the bound errs on the large side.  The bound of the mean
-follows: the mean of a difference is at most its root mean square.
-
-u is for light that no photon found.  Where N photons share the power P and none arrives, the power that
-arrives is below ``-ln(1e-4) P / N`` with the same confidence, for independent photons; Sobol points do
-better.
-"""
+"""How is a scene run briefly, and what does the planner read from it?"""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from gonio.facade.bounds import MISS, Difference, difference, standard_errors
 
 if TYPE_CHECKING:
     from gonio.facade.result import Irradiance
     from gonio.facade.scene import Scene
 
 FloatArray = NDArray[np.float64]
-
-MISS = 1e-4
-"""Probability that a bound fails, for one receiver and one omission."""
 
 
 class Outcome(NamedTuple):
@@ -56,53 +40,13 @@ class Engine(Protocol):
         """Run to the statistical tolerance `rel_tol`; 0.5 asks for no more than the first points."""
 
 
-@dataclass(frozen=True, slots=True)
-class Difference:
-    """Of two runs, for each receiver: W/m2, (receivers,)."""
+def compared(a: Outcome, b: Outcome) -> Difference:
+    """Return ``a - b`` with its bounds, receiver by receiver.
 
-    mean: FloatArray
-    standard_error: FloatArray  # of `mean`
-    rms: FloatArray  # over the patches, noise included
-    noise: FloatArray  # t rms(s) + u
-
-    @property
-    def bound(self) -> FloatArray:
-        """Upper bound of the root mean square over the patches, and so of the mean."""
-        return self.rms + self.noise
-
-
-def difference(a: Outcome, b: Outcome) -> Difference:
-    """Return ``a - b`` with its bound, receiver by receiver."""
-    d = a.replicas - b.replicas
-    replicas = d.shape[1]
-    value = d.mean(axis=1)
-    error = standard_errors(d)
-    t = quantile(replicas)
-    unseen = np.maximum(_unseen(a), _unseen(b))
-    rows = []
-    for number, (here, weight) in enumerate(shares(a.irradiance)):
-        mean = weight @ d[here]
-        rows.append(
-            (
-                mean.mean(),
-                standard_errors(mean),
-                math.sqrt(weight @ value[here] ** 2),
-                t * math.sqrt(weight @ error[here] ** 2) + unseen[number],
-            )
-        )
-    return Difference(*(np.array(column, np.float64) for column in zip(*rows, strict=True)))
-
-
-def standard_errors(replicas: FloatArray) -> FloatArray:
-    """Return the standard error of the mean over the last axis."""
-    return np.asarray(replicas.std(axis=-1, ddof=1) / math.sqrt(replicas.shape[-1]))
-
-
-def quantile(replicas: int) -> float:
-    """Return Student's one-sided quantile at 1 - 1e-4 with one degree of freedom less than replicas."""
-    from scipy import special
-
-    return float(special.stdtrit(replicas - 1, 1.0 - MISS))
+    Where N photons share the power P and none arrives, the power that arrives is below ``-ln(1e-4) P / N``
+    with the confidence of the other bounds, for independent photons; Sobol points do better.
+    """
+    return difference(a.replicas - b.replicas, shares(a.irradiance), np.maximum(_unseen(a), _unseen(b)))
 
 
 def shares(irradiance: Irradiance) -> list[tuple[slice, FloatArray]]:

@@ -26,7 +26,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.facade.pilot import Difference, Engine, Outcome, difference, engine, means
+from gonio.facade.bounds import Difference
+from gonio.facade.pilot import Engine, Outcome, compared, engine, means
 from gonio.facade.reach import is_grey, lobe_meets_lobe
 from gonio.facade.reduce import Level, at_level, glossy_materials, sphere_coefficients, used_materials
 from gonio.facade.result import Omission
@@ -39,11 +40,15 @@ FloatArray = NDArray[np.float64]
 SHARE = 0.5
 """Part of the tolerance that omissions may take; the statistical part then needs a third more samples."""
 
-FIRST_TOL = 0.5
-"""Asks the engine for its first points only."""
+TIERS = (0.5, 0.1, 0.02, 0.004)
+"""Statistical tolerances of the pilots, tried one after the other while a bound is undecided; the first asks
+for the first points only."""
 
-FINER = 4.0
-"""A second pilot is run at this multiple of the tolerance: a sixteenth of the samples of the whole run."""
+WORTH = 0.25
+"""Part of the whole run's rays that finer pilots may cost together."""
+
+POWER = 4.0 / 3.0
+"""Rays grow as error^-4/3: the variance of scrambled Sobol points falls about as points^-1.5."""
 
 DARK = 1e-3
 """A receiver with less than this part of DNI + DHI is held to that part (as in the engine)."""
@@ -123,6 +128,9 @@ class _Plan:
     levels: dict[str, Level] = field(default_factory=dict)
     rays: int = 0
     one_band: bool = False
+    _outcome_of_all: Outcome = field(init=False)
+    floor: FloatArray = field(init=False)
+    spent: FloatArray = field(init=False)
     _outcomes: dict[tuple[object, ...], Outcome] = field(default_factory=dict)
 
     def decide(self) -> Choice:
@@ -140,7 +148,7 @@ class _Plan:
         bands = bool(scene.bands) and not self.one_band
         if not bands and not glossy:
             return self._choice(np.zeros(1))
-        first = self._outcome(FIRST_TOL)
+        first = self._outcome_of_all = self._outcome(TIERS[0])
         mean, error = means(first)
         light = scene.direct_w_m2 + scene.dhi_w_m2
         # A relative bound needs a mean from below; the error of the pilot's is taken off.
@@ -178,27 +186,42 @@ class _Plan:
         """Simplify if the bound of what is lost fits on every receiver; say so or why not."""
         before = dict(self.levels), self.one_band
         budget = SHARE * self.rel_tol * self.floor - self.spent
-        tolerances = [FIRST_TOL]
-        if FINER * self.rel_tol < FIRST_TOL:
-            tolerances.append(FINER * self.rel_tol)
-        for tolerance in tolerances:
+        found: Difference | None = None
+        for tier in TIERS:
+            if found is not None and not self._worth(tier):
+                break
             self.levels, self.one_band = dict(before[0]), before[1]
-            reference = self._outcome(tolerance)
+            reference = self._outcome(tier)
             self._set(names, level)
             self.one_band = self.one_band or one_band
-            found = difference(self._outcome(tolerance), reference)
+            found = compared(self._outcome(tier), reference)
             if np.all(found.bound <= budget):
                 self._keep(what, found)
                 return True
-            if np.any(found.rms - found.noise > budget):
+            if np.any(found.least > budget):
                 break  # more samples would not change the answer
+        assert found is not None
         self.levels, self.one_band = before
-        worst = int(np.argmax(found.bound / self.floor))
-        self.lines.append(
-            f"kept: {what} would change '{self._names()[worst]}' by up to {found.bound[worst]:.3g} W/m2 "
-            f"({100.0 * found.bound[worst] / self.floor[worst]:.2g} %)"
-        )
+        self._refuse(what, found, certain=bool(np.any(found.least > budget)))
         return False
+
+    def _worth(self, tier: float) -> bool:
+        """Say whether two more pilots at `tier` cost less than a part of the whole run."""
+        first = self._outcome_of_all.irradiance
+        reached = max(first.relative_error, 1e-9)
+        whole = first.rays * max(1.0, (reached / self.rel_tol) ** POWER)
+        pilots = 2.0 * first.rays * max(1.0, (min(reached, TIERS[0]) / tier) ** POWER)
+        return tier > self.rel_tol and self.rays + pilots <= WORTH * whole
+
+    def _refuse(self, what: str, found: Difference, *, certain: bool) -> None:
+        reach = found.least if certain else found.bound
+        worst = int(np.argmax(reach / self.floor))
+        verb = "changes" if certain else "may change"
+        limit = "at least" if certain else "up to"
+        self.lines.append(
+            f"kept: {what} {verb} '{self._names()[worst]}' by {limit} {reach[worst]:.3g} W/m2 "
+            f"({100.0 * reach[worst] / self.floor[worst]:.2g} %)"
+        )
 
     def _keep(self, what: str, found: Difference) -> None:
         self.spent = self.spent + found.bound
