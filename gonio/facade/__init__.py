@@ -7,7 +7,10 @@
 >>> irradiance["left"].contributions["specular"].value    # doctest: +SKIP
 """
 
-from gonio.facade.geometry import Surface, box, street
+from gonio.facade.bands import Band
+from gonio.facade.geometry import Mesh, Surface, box, street
+from gonio.facade.mesh import read_mesh
+from gonio.facade.modules import module, panel
 from gonio.facade.optics import EnergyWarning, Optics
 from gonio.facade.result import (
     CONTRIBUTIONS,
@@ -28,6 +31,7 @@ from gonio.facade.sun import Sun
 
 __all__ = [
     "CONTRIBUTIONS",
+    "Band",
     "BandIrradiance",
     "EnergyBalance",
     "EnergyWarning",
@@ -35,6 +39,7 @@ __all__ = [
     "Estimate",
     "ExchangeBalance",
     "Irradiance",
+    "Mesh",
     "Omission",
     "Optics",
     "Receiver",
@@ -45,7 +50,10 @@ __all__ = [
     "box",
     "load_irradiance",
     "load_scene",
+    "module",
+    "panel",
     "parse_scene",
+    "read_mesh",
     "simulate",
     "street",
 ]

@@ -52,7 +52,10 @@ def read_parts(path: Path) -> tuple[list[Part], str | None]:
             f"give one of the formats {known}"
         ) from None
     parts: list[Part] = []
-    for node in scene.graph.nodes_geometry:
+    nodes = list(scene.graph.nodes_geometry)
+    if names:
+        nodes.reverse()  # trimesh reads an OBJ file's groups from its end
+    for node in nodes:
         transform, key = scene.graph[node]
         body = scene.geometry[key]
         if not isinstance(body, trimesh.Trimesh) or not len(body.faces):
@@ -63,10 +66,12 @@ def read_parts(path: Path) -> tuple[list[Part], str | None]:
             faces = faces[:, ::-1]  # a mirror image
         own = getattr(getattr(body.visual, "material", None), "name", None)
         called = names.get(str(key), (str(key), str(node)))
+        with np.errstate(invalid="ignore"):  # what is not finite is refused by name later
+            vertices = np.array(body.vertices, np.float64) @ transform[:3, :3].T + transform[:3, 3]
         parts.append(
             Part(
                 tuple(dict.fromkeys([*([str(own)] if own else []), *called])),
-                np.array(body.vertices, np.float64) @ transform[:3, :3].T + transform[:3, 3],
+                vertices,
                 np.ascontiguousarray(faces),
             )
         )
@@ -99,7 +104,7 @@ def _obj(path: Path) -> tuple[Any, dict[str, tuple[str, ...]]]:
         split_groups=True,
     )
     names: dict[str, tuple[str, ...]] = {}
-    for key, body in reversed(list(scene.geometry.items())):
+    for key, body in scene.geometry.items():
         own = getattr(getattr(body.visual, "material", None), "name", None)
         stem = str(key).removesuffix(f"_{own}") if own else str(key)
         # trimesh joins object, group and material by underscores, of which the names may have their own

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -37,6 +36,8 @@ def wind(vertices: FloatArray, faces: IntArray) -> Wound:
     faces
         (f, 3), each vertex once, no two faces on the same three vertices.
     """
+    from scipy import sparse  # for meshes only
+
     f = len(faces)
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     upwards = start < end
