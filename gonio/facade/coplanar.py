@@ -47,16 +47,16 @@ def covers(
 ) -> tuple[IntArray, IntArray]:
     """Return, as (m + 1,) starts and their list, the coplanar primitives that hide a part of each one.
 
-    Those declared later (of higher rank), and those that face the other way and touch it.
+    Those declared later (of higher rank), and those that face the other way and touch it; in an endless
+    street (`periodic`) u has no ends, and a module runs along all of it.
     """
     m = len(origin)
     first = np.zeros(m + 1, np.int64)
     found: list[int] = []
-    if not periodic:
-        for i in range(m):
-            for j in np.flatnonzero(plane == plane[i]):
-                facing = float(normal[i] @ normal[j]) > 0.0
-                if j != i and (j > i or not facing):
-                    found.append(int(j))
-            first[i + 1] = len(found)
+    for i in range(m):
+        for j in np.flatnonzero(plane == plane[i]):
+            facing = float(normal[i] @ normal[j]) > 0.0
+            if j != i and (j > i or not facing):
+                found.append(int(j))
+        first[i + 1] = len(found)
     return first, np.array(found, np.int64)

@@ -125,6 +125,8 @@ def hidden(g: Any, k: int, p: Any) -> bool:
         r = (p[0] - g.origin[other, 0], p[1] - g.origin[other, 1], p[2] - g.origin[other, 2])
         a = dot(row(g.dual_u, other), r)
         b = dot(row(g.dual_v, other), r)
+        if g.periodic:
+            a -= math.floor(a)
         if a >= 0.0 and b >= 0.0 and a <= 1.0 and b <= 1.0 and (g.triangle[other] == 0 or a + b <= 1.0):
             return True
     return False
