@@ -162,13 +162,13 @@ def test_a_module_hides_its_host_and_nothing_else(infinite: bool) -> None:
         Scene(surfaces, {"matt": Optics(0.5)}, Sun(270.0, elevation_deg, 0.0), 500.0, 0.0, infinite=infinite)
         for surfaces in ((left, right, ground), (left, right, ground, low))
     ]
-    bare, covered = (simulate(s, rel_tol=0.003, seed=3) for s in scenes)
+    bare, covered = (simulate(s, rel_tol=0.02, seed=3) for s in scenes)
     lit = 500.0 * math.cos(math.radians(elevation_deg))
 
     def direct(result: object, name: str) -> float:
         return float(result[name].contributions["direct"].value[0, 0])  # type: ignore[index]
 
-    assert direct(bare, "right") == pytest.approx(0.5 * lit, rel=0.01)
+    assert direct(bare, "right") == pytest.approx(0.5 * lit, rel=0.02)
     assert direct(covered, "right") == pytest.approx(lit, rel=1e-9)  # what is left of it is all in the sun
     assert direct(covered, "low") == pytest.approx(0.0, abs=1e-9)
     for name in ("left", "ground"):
@@ -177,7 +177,7 @@ def test_a_module_hides_its_host_and_nothing_else(infinite: bool) -> None:
         assert abs(float(a.mean.value - b.mean.value)) < 4.5 * error + 1e-9
     # area-weighted, host and module receive what the bare host did
     whole = 0.5 * (float(covered["right"].mean.value) + float(covered["low"].mean.value))
-    assert whole == pytest.approx(float(bare["right"].mean.value), rel=0.01)
+    assert whole == pytest.approx(float(bare["right"].mean.value), rel=0.03)
 
 
 def test_what_is_probably_not_meant_is_said() -> None:
