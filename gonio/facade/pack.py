@@ -67,6 +67,8 @@ def pack(
     """
     shapes, table, cells = _collect(surfaces, materials, meshes, grids or {})
     corners = np.concatenate([shapes.origin, shapes.origin + shapes.u, shapes.origin + shapes.v])
+    fourth = shapes.triangle == 0
+    corners = np.concatenate([corners, (shapes.origin + shapes.u + shapes.v)[fourth]])
     if len(corners):
         centre = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
         extent = float(np.max(np.linalg.norm(corners - centre, axis=1)))
@@ -89,8 +91,7 @@ def pack(
     side_grid, patches = _patches(shapes, length)
     place = np.empty(len(order), np.int64)
     place[order] = np.arange(len(order))
-    stored_cover = [place[cover[cover_first[i] : cover_first[i + 1]]] for i in order]
-    first = np.concatenate([[0], np.cumsum([len(c) for c in stored_cover])]).astype(np.int64)
+    first, from_declared = _reordered(cover_first, order)
     geometry = Geometry(
         origin=_stored(origin, order),
         u=_stored(shapes.u, order),
@@ -106,7 +107,7 @@ def pack(
         optics=np.ascontiguousarray(shapes.optics[order]),
         patch=np.ascontiguousarray(side_grid[order]),
         cover_first=first,
-        cover=np.concatenate([*stored_cover, np.zeros(0, np.int64)]).astype(np.int64),
+        cover=place[cover[from_declared]],
         materials=table,
         bounds=tree.bounds,
         child=tree.child,
@@ -114,6 +115,13 @@ def pack(
         periodic=periodic,
     )
     return Packed(geometry, patches._replace(primitive=place[patches.primitive]), centre, cells)
+
+
+def _reordered(first: IntArray, order: IntArray) -> tuple[IntArray, IntArray]:
+    """Return the starts (m + 1,) of lists put into another order, and where their items were before."""
+    count = np.diff(first)[order]
+    start = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
+    return start, np.arange(start[-1]) + np.repeat(first[:-1][order] - start[:-1], count)
 
 
 def _stored(array: FloatArray, order: IntArray) -> FloatArray:
@@ -185,44 +193,48 @@ def _collect(
 def _patches(shapes: _Shapes, length: FloatArray) -> tuple[IntArray, Patches]:
     """Return first patch, rows, columns of both sides, (m, 2, 3), and the patches, in declared order."""
     m = len(shapes.grid)
+    sides = shapes.sides.astype(np.int64)
+    each = np.where(shapes.triangle > 0, shapes.grid[:, 0] ** 2, shapes.grid[:, 0] * shapes.grid[:, 1])
+    start = np.concatenate([[0], np.cumsum(each * sides)]).astype(np.int64)
+    count = int(start[-1])
     side_grid = np.full((m, 2, 3), -1, np.int64)
-    primitive: list[IntArray] = []
-    back: list[NDArray[np.uint8]] = []
-    cell: list[FloatArray] = []
-    receiver: list[IntArray] = []
-    first = 0
-    for i in np.flatnonzero(shapes.grid[:, 0] > 0):
-        rows, columns = (int(x) for x in shapes.grid[i])
-        if shapes.triangle[i]:
-            cells = triangle_cells(rows)
-        else:
-            b, a = (x.ravel() for x in np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij"))
-            cells = np.stack(
-                [a / columns, b / rows, np.full(a.size, 1 / columns), np.full(a.size, 1 / rows)], 1
-            )
-        start, r_rows, r_columns = shapes.receiver[i]
-        own = np.full(len(cells), -1, np.int64)
-        if start >= 0:
-            own[:] = start
-            if not shapes.triangle[i]:
-                own += (b * r_rows // rows) * r_columns + a * r_columns // columns
-        for side in range(int(shapes.sides[i])):
-            side_grid[i, side] = first, rows, columns
-            first += len(cells)
-            primitive.append(np.full(len(cells), i, np.int64))
-            back.append(np.full(len(cells), side, np.uint8))
-            cell.append(cells)
-            receiver.append(own if side == 0 else np.full(len(cells), -1, np.int64))
-    where = np.concatenate([*primitive, np.zeros(0, np.int64)])
-    cells = np.concatenate([*cell, np.zeros((0, 4))])
-    share = np.abs(cells[:, 2] * cells[:, 3]) * np.where(shapes.triangle[where] > 0, 0.5, 1.0)
+    used = each > 0
+    for side in (0, 1):
+        here = used & (sides > side)
+        side_grid[here, side, 0] = start[:-1][here] + side * each[here]
+        side_grid[here, side, 1:] = shapes.grid[here]
+    primitive = np.repeat(np.arange(m), each * sides)
+    back = np.zeros(count, np.uint8)
+    cell = np.zeros((count, 4))
+    receiver = np.full(count, -1, np.int64)
+    kind = np.column_stack([shapes.triangle, shapes.grid, shapes.receiver[:, 1:]])[used]
+    kinds, which = np.unique(kind, axis=0, return_inverse=True)  # primitives with one grid have one pattern
+    for number, (triangle, rows, columns, r_rows, r_columns) in enumerate(kinds):
+        members = np.flatnonzero(used)[which.reshape(-1) == number]
+        cells, own = _pattern(triangle, rows, columns, r_rows, r_columns)
+        front = start[members][:, None] + np.arange(len(cells))
+        cell[front] = cells
+        first = shapes.receiver[members, :1]
+        receiver[front] = np.where(first >= 0, first + own, -1)
+        behind = front[sides[members] == 2] + len(cells)
+        cell[behind] = cells
+        back[behind] = 1
+    share = np.abs(cell[:, 2] * cell[:, 3]) * np.where(shapes.triangle[primitive] > 0, 0.5, 1.0)
     return side_grid, Patches(
-        primitive=where,
-        back=np.concatenate([*back, np.zeros(0, np.uint8)]),
-        cell=np.ascontiguousarray(cells),
-        area=share * length[where],
-        receiver=np.concatenate([*receiver, np.zeros(0, np.int64)]),
+        primitive=primitive, back=back, cell=cell, area=share * length[primitive], receiver=receiver
     )
+
+
+def _pattern(
+    triangle: int, rows: int, columns: int, r_rows: int, r_columns: int
+) -> tuple[FloatArray, IntArray]:
+    """Return the cells of one primitive, (n, 4), and in which cell of its receiver each one lies, (n,)."""
+    if triangle:
+        cells = triangle_cells(rows)
+        return cells, np.zeros(len(cells), np.int64)
+    b, a = (x.ravel() for x in np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij"))
+    cells = np.stack([a / columns, b / rows, np.full(a.size, 1 / columns), np.full(a.size, 1 / rows)], 1)
+    return cells, (b * r_rows // rows) * r_columns + a * r_columns // columns
 
 
 def triangle_cells(k: int) -> FloatArray:
