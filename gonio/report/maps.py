@@ -1,13 +1,15 @@
-"""After the paper's Figure 13: irradiance on the receivers, and what each kind of light contributes."""
+"""After the paper's Figure 13: irradiance on gridded receivers, and how well it is known, as maps."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from gonio.report import style
@@ -34,102 +36,93 @@ HATCHES = {"direct": "", "sky": "///", "diffuse": "...", "specular": "xxx"}
 ROWS_PER_FIGURE = 4
 
 
+@dataclass(frozen=True, slots=True)
+class _Column:
+    """One column of maps: what it shows, in which colours, and the values of every receiver."""
+
+    heading: str
+    colour_map: str
+    values: Sequence[FloatArray]
+
+
+def with_maps(receivers: Sequence[Receiver]) -> list[Receiver]:
+    """Return the receivers that have a map: gridded, of more than one patch."""
+    return [r for r in receivers if not r.is_mesh and r.value.size > 1]
+
+
 def draw_maps(receivers: Sequence[Receiver], *, first: int = 0) -> style.Drawing:
     """Draw total irradiance and specular contribution of up to four receivers, counted from `first`."""
-    shown = receivers[first : first + ROWS_PER_FIGURE]
-    aspects = [_aspect(r) for r in shown]
-    map_width_in = 3.9
-    heights = [float(np.clip(map_width_in * a, 0.7, 3.6)) for a in aspects]
-    figure = style.new_figure(9.8, sum(heights) + 0.78 * len(shown))
-    panels = figure.subplots(len(shown), 2, squeeze=False, gridspec_kw={"height_ratios": heights})
-    style.place(figure, left_in=0.55, right_in=0.85, gap_x_in=1.25, gap_y_in=0.78)
     columns = (
-        ("total irradiance", "viridis", [r.value for r in receivers]),
-        ("specular contribution", "magma", [r.contributions["specular"].value for r in receivers]),
+        _Column("total irradiance", "viridis", [r.value for r in receivers]),
+        _Column("specular contribution", "magma", [r.contributions["specular"].value for r in receivers]),
     )
-    for column, (heading, colour_map, every) in enumerate(columns):
-        norm = _norm(every)  # one scale for all receivers, so that they compare
-        mesh = None
-        for row, receiver in enumerate(shown):
-            axes = panels[row, column]
-            mesh = _draw_map(axes, receiver, every[first + row], colour_map, norm)
-            axes.set_title(style.plain(f"{receiver.name}: {heading}"))
-            if column == 0:
-                axes.set_ylabel("height / m" if _upright(receiver) else "across / m")
-            axes.set_xlabel("along / m")
-        if mesh is not None:
-            style.colour_bar(figure, mesh, panels[0, column], f"{heading} / (W/m²)")
-    worst = max((_relative_error(r) for r in shown), default=float("nan"))
-    part = f"_{first // ROWS_PER_FIGURE + 1}" if len(receivers) > ROWS_PER_FIGURE else ""
+    worst = max((_relative_error(r) for r in _shown(receivers, first)), default=float("nan"))
     return style.Drawing(
-        name=f"facade_maps{part}",
+        name=f"facade_maps{_part(receivers, first)}",
         title="Irradiance on the receiver surfaces (after the paper's Figure 13)",
         caption=(
             "Left: irradiance on each receiver patch, all paths of light together. Right: the part that "
             "a specular lobe reflected at least once, which a purely diffuse model of the facades would "
             "miss or misplace. One colour scale per column for all receivers; each cell is one patch of "
-            "the grid, not interpolated, so grain is the Monte Carlo's: the median standard error of a "
+            "the grid, not interpolated: the median standard error of a "
             f"patch is at most {100 * worst:.2g} % of its value here."
         ),
-        figure=figure,
+        figure=_draw_columns(receivers, columns, first),
     )
 
 
-def draw_contributions(receivers: Sequence[Receiver]) -> style.Drawing:
-    """Draw the mean of each contribution on each receiver as bars with their standard errors."""
-    thickness = 0.19
-    figure = style.new_figure(8.6, 1.3 + 1.05 * len(receivers))
-    axes = figure.add_subplot()
-    axes.grid(visible=False, axis="y")
-    largest = 0.0
-    for number, contribution in enumerate(CONTRIBUTIONS):
-        at = np.arange(len(receivers)) + (number - 1.5) * (thickness + 0.02)
-        means = [r.mean_contributions[contribution] for r in receivers]
-        values = np.array([float(e.value) for e in means])
-        errors = np.array([float(e.standard_error) for e in means])
-        axes.barh(
-            at,
-            np.nan_to_num(values),
-            height=thickness,
-            xerr=np.nan_to_num(errors),
-            color=COLOURS[contribution],
-            hatch=HATCHES[contribution],
-            edgecolor="white",
-            linewidth=0,
-            label=LABELS[contribution],
-            error_kw={"elinewidth": 1.0, "capsize": 2.0, "ecolor": style.BLACK},
-        )
-        largest = max(largest, float(np.nanmax(values + np.nan_to_num(errors), initial=0.0)))
-        for y, value, error in zip(at, values, errors, strict=True):
-            axes.annotate(
-                value_text(value, error),
-                (np.nan_to_num(value) + np.nan_to_num(error), y),
-                xytext=(5, 0),
-                textcoords="offset points",
-                va="center",
-                fontsize=7.5,
-            )
-    names = [f"{r.name}\ntotal {estimate_text(r.mean)}" for r in receivers]
-    axes.set_yticks(np.arange(len(receivers)), [style.plain(name) for name in names])
-    axes.tick_params(axis="y", length=0)
-    axes.invert_yaxis()
-    axes.set_xlim(0.0, 1.18 * largest if largest > 0 else 1.0)
-    axes.set_xlabel("mean irradiance on the receiver / (W/m²)")
-    style.legend_above(axes)
-    longest = max(len(line) for name in names for line in name.split("\n"))
-    style.place(figure, left_in=min(0.2 + 0.075 * longest, 4.0))
-    return style.Drawing(
-        name="facade_contributions",
-        title="What each kind of light contributes",
-        caption=(
-            "Mean irradiance of each receiver, split by the light's last history: direct sun, sky seen "
-            "directly, light reflected by diffuse reflections only, and light that a specular lobe "
-            "reflected at least once. Lines at the bars' ends and the ± are one standard error of the "
-            "Monte Carlo estimate. The four parts are disjoint and add up to the total under each "
-            "receiver's name."
+def draw_errors(receivers: Sequence[Receiver], *, first: int = 0) -> style.Drawing:
+    """Draw the standard errors of the same receivers: of the total, and of the specular contribution."""
+    columns = (
+        _Column("standard error of the total", "cividis", [r.standard_error for r in receivers]),
+        _Column(
+            "standard error of the specular part",
+            "cividis",
+            [r.contributions["specular"].standard_error for r in receivers],
         ),
-        figure=figure,
     )
+    return style.Drawing(
+        name=f"facade_errors{_part(receivers, first)}",
+        title="How well each patch is known",
+        caption=(
+            "One standard error of each patch of the maps above, left of the total, right of the specular "
+            "part, from the scatter of independent randomisations. Only the sampling is in them: what was "
+            "left out, and the finite size of the patches, have bounds of their own in the tables. One "
+            "colour scale per column."
+        ),
+        figure=_draw_columns(receivers, columns, first),
+    )
+
+
+def _shown(receivers: Sequence[Receiver], first: int) -> Sequence[Receiver]:
+    return receivers[first : first + ROWS_PER_FIGURE]
+
+
+def _part(receivers: Sequence[Receiver], first: int) -> str:
+    return f"_{first // ROWS_PER_FIGURE + 1}" if len(receivers) > ROWS_PER_FIGURE else ""
+
+
+def _draw_columns(receivers: Sequence[Receiver], columns: Sequence[_Column], first: int) -> Figure:
+    """Draw a row of maps for each receiver shown, one colour scale for each column."""
+    shown = _shown(receivers, first)
+    map_width_in = 3.9
+    heights = [float(np.clip(map_width_in * _aspect(r), 0.7, 3.6)) for r in shown]
+    figure = style.new_figure(9.8, sum(heights) + 0.78 * len(shown))
+    panels = figure.subplots(len(shown), 2, squeeze=False, gridspec_kw={"height_ratios": heights})
+    style.place(figure, left_in=0.55, right_in=0.85, gap_x_in=1.25, gap_y_in=0.78)
+    for number, column in enumerate(columns):
+        norm = common_norm(column.values)  # one scale for all receivers, so that they compare
+        mesh = None
+        for row, receiver in enumerate(shown):
+            axes = panels[row, number]
+            mesh = _draw_map(axes, receiver, column.values[first + row], column.colour_map, norm)
+            axes.set_title(style.plain(f"{receiver.name}: {column.heading}"))
+            if number == 0:
+                axes.set_ylabel("height / m" if upright(receiver) else "across / m")
+            axes.set_xlabel("along / m")
+        if mesh is not None:
+            style.colour_bar(figure, mesh, panels[0, number], f"{column.heading} / (W/m²)")
+    return figure
 
 
 def width_m(receiver: Receiver) -> float:
@@ -146,11 +139,13 @@ def _aspect(receiver: Receiver) -> float:
     return height_m(receiver) / width_m(receiver)
 
 
-def _upright(receiver: Receiver) -> bool:
+def upright(receiver: Receiver) -> bool:
+    """Say whether the rows of a receiver go up rather than across."""
     return abs(receiver.v_m[2]) > 0.5 * height_m(receiver)
 
 
-def _norm(maps: Sequence[FloatArray]) -> Normalize:
+def common_norm(maps: Sequence[FloatArray]) -> Normalize:
+    """Return one colour scale for all values, from 0 (or the lowest, if negative) to the highest."""
     values = np.concatenate([np.ravel(m) for m in maps]) if maps else np.empty(0)
     values = values[np.isfinite(values)]
     top = float(values.max()) if values.size else 1.0
