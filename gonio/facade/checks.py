@@ -11,6 +11,9 @@ from gonio.facade.geometry import Mesh, Surface
 from gonio.facade.mesh import SLIVER
 from gonio.facade.optics import Optics
 
+LEAST_AREA = 1e-9
+"""Of a surface, in units of the product of its edges: the sine of the angle between them."""
+
 
 def check_shapes(
     surfaces: Sequence[Surface],
@@ -29,8 +32,9 @@ def check_shapes(
         if name in seen:
             raise SceneError(f"two surfaces or meshes are called '{name}'; give each its own name")
         seen.add(name)
-    for s in surfaces:
-        _check_surface(s, materials)
+    if not _fine(surfaces, materials):
+        for s in surfaces:
+            _check_surface(s, materials)
     for mesh in meshes:
         _check_mesh(mesh, materials)
     if periodic:
@@ -45,6 +49,26 @@ def _check_material(what: str, name: str, materials: Mapping[str, Optics]) -> No
         )
 
 
+def _fine(surfaces: Sequence[Surface], materials: Mapping[str, Optics]) -> bool:
+    """Say whether `_check_surface` has nothing against any of them, at once: planners make many scenes."""
+    try:
+        edges = np.array([(s.origin_m, s.u_m, s.v_m) for s in surfaces], np.float64).reshape(-1, 3, 3)
+    except (TypeError, ValueError):
+        return False
+    with np.errstate(invalid="ignore", over="ignore"):
+        lengths = np.linalg.norm(edges[:, 1:], axis=2)
+        area = np.linalg.norm(np.cross(edges[:, 1], edges[:, 2]), axis=1)
+        shaped = np.all(np.isfinite(edges)) and np.all(lengths > 0.0)
+        shaped = shaped and np.all(area >= LEAST_AREA * np.prod(lengths, axis=1))
+    return bool(shaped) and all(
+        s.material in materials
+        and s.sides in (1, 2)
+        and (s.rows > 0) == (s.columns > 0)
+        and min(s.rows, s.columns) >= 0
+        for s in surfaces
+    )
+
+
 def _check_surface(s: Surface, materials: Mapping[str, Optics]) -> None:
     edges = np.array([s.origin_m, s.u_m, s.v_m], np.float64)
     if edges.shape != (3, 3) or not np.all(np.isfinite(edges)):
@@ -52,7 +76,7 @@ def _check_surface(s: Surface, materials: Mapping[str, Optics]) -> None:
             f"surface '{s.name}' has a coordinate that is not a finite number of metres; correct it"
         )
     lengths = np.linalg.norm(edges[1:], axis=1)
-    if np.min(lengths) == 0.0 or s.area_m2 < 1e-9 * float(np.prod(lengths)):
+    if np.min(lengths) == 0.0 or s.area_m2 < LEAST_AREA * float(np.prod(lengths)):
         raise SceneError(
             f"surface '{s.name}' has an area of {s.area_m2:g} m2 "
             f"(edges {lengths[0]:g} m and {lengths[1]:g} m); "

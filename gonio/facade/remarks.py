@@ -5,15 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gonio.facade.coplanar import TOLERANCE
 from gonio.facade.geometry import FloatArray, Mesh, Surface
 
 _POINTS = 4  # along each edge of a patch
+_EDGE = 1e-9
 
 
 def remarks(surfaces: Sequence[Surface], meshes: Sequence[Mesh], *, periodic: bool) -> tuple[str, ...]:
-    """Return a sentence for each receiver that lies under another surface or under the ground."""
+    """Return a sentence for each receiver that lies under another surface or under the ground.
+
+    Coverings are found by points, 4 x 4 in each patch; of meshes only faces that stand on a rectangle.
+    """
     found: list[str] = []
     corners = {s.name: _corners(s) for s in surfaces}
     everything = [*corners.values(), *(m.vertices_m for m in meshes)]
@@ -29,6 +34,14 @@ def remarks(surfaces: Sequence[Surface], meshes: Sequence[Mesh], *, periodic: bo
             elif hidden:
                 found.append(
                     f"receiver '{s.name}': {hidden} of {s.rows * s.columns} patches lie wholly under other "
+                    "surfaces; nothing reaches them"
+                )
+    for mesh in meshes:
+        if mesh.receiver:
+            under = int(np.sum(_standing_faces(mesh, surfaces, tolerance_m)))
+            if under:
+                found.append(
+                    f"receiver '{mesh.name}': {under} of {len(mesh.faces)} faces stand wholly on other "
                     "surfaces; nothing reaches them"
                 )
     ground_m = _level(surfaces, tolerance_m)
@@ -83,3 +96,18 @@ def _hidden_patches(i: int, surfaces: Sequence[Surface], tolerance_m: float, *, 
         under |= inside
     cells = under.reshape(s.rows, _POINTS, s.columns, _POINTS)
     return int(np.sum(np.all(cells, axis=(1, 3))))
+
+
+def _standing_faces(mesh: Mesh, surfaces: Sequence[Surface], tolerance_m: float) -> NDArray[np.bool_]:
+    """Return which faces of a mesh lie on a surface that faces them, (f,)."""
+    corner = mesh.vertices_m[mesh.faces]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    standing = np.zeros(len(corner), bool)
+    for s in surfaces:
+        o = np.asarray(s.origin_m)
+        flat = np.all(np.abs((corner - o) @ s.normal) <= tolerance_m, axis=1)
+        flat &= normal @ s.normal < 0.0
+        if np.any(flat):
+            place = (corner[flat] - o) @ np.linalg.pinv(np.array([s.u_m, s.v_m], np.float64))
+            standing[flat] |= np.all((place >= -_EDGE) & (place <= 1.0 + _EDGE), axis=(1, 2))
+    return standing

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gonio.errors import SceneError
-from gonio.facade import Optics, load_scene, parse_scene, simulate
+from gonio.facade import Optics, Sky, load_irradiance, load_scene, parse_scene, simulate
 
 GOOD = """
 title = "Test street"
@@ -82,6 +82,11 @@ def test_a_good_file_is_read_completely() -> None:
         ('left = "wall"', 'left = "gold"', "made of 'gold', which is not among the materials"),
         ("albedo = 0.2", "albedo = 1.2", "materials.ground.albedo = 1.2"),
         ("albedo = 0.2", "albedo = 0.2\nrho_d = 0.2", "gives albedo and coefficients; give exactly one"),
+        ("albedo = 0.2", "albedo = 0.2\nk_s = 0.2", "gives albedo and hemispherical coefficients"),
+        ("albedo = 0.2", "k_d = 0.2", "lacks k_s; give all of k_d, k_s"),
+        ("albedo = 0.2", "k_d = 0.8\nk_s = 0.3", "k_d \\+ k_s = 1.1 returns more light than arrives"),
+        ("[irradiance]", "[sky]\nextraterrestrial_w_m2 = 500\n[irradiance]", "sky.extraterrestrial_w_m2"),
+        ("[irradiance]", "[reflection]\npolarised = 1\n[irradiance]", "reflection.polarised = 1"),
         ("n2 = 1.5", "", "lacks n2"),
         ("n2 = 1.5", "n2 = 0.9", "materials.wall.n2 = 0.9"),
         ("n2 = 1.5", "n2 = 1.5\nband_nm = [380, 740]", "belong to a material with a scan"),
@@ -131,6 +136,108 @@ def parse_scene_as_file(text: str) -> None:
 def test_site_mistakes(table: str, message: str) -> None:
     with pytest.raises(SceneError, match=message):
         parse_scene_as_file(NO_SUN.replace("[irradiance]", table + "[irradiance]"))
+
+
+MESH = """
+[[meshes]]
+file = "tent.obj"
+material = "wall"
+"""
+TENT = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nusemtl cloth\nf 1 2 3\nusemtl rope\nf 1 2 4\n"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"tent.obj"', '"no.obj"', r"meshes\[1\]: .*no.obj: there is no such file"),
+        ('"tent.obj"', '""', r"meshes\[1\].file = ''"),
+        ('material = "wall"\n', "", r"meshes\[1\].material is missing"),
+        ('material = "wall"', "material = 3", r"meshes\[1\].material = 3: is no material; give a name"),
+        ('material = "wall"', "material = {}", r"meshes\[1\].material: is no material; give a name"),
+        ('material = "wall"', 'material = { cloth = "wall", sail = "wall" }', "'rope' is given no material"),
+        ('material = "wall"', 'material = { sail = "wall", "*" = "wall" }', "object 'sail'; it has cloth, rope"),
+        ('material = "wall"', 'material = "gold"', "mesh 'tent' is made of 'gold'"),
+        ('material = "wall"', 'material = "wall"\nup = "x"', r"meshes\[1\].up = 'x'"),
+        ('material = "wall"', 'material = "wall"\nsides = 3', r"meshes\[1\].sides = 3"),
+        ('material = "wall"', 'material = "wall"\nmetres_per_unit = 0', r"meshes\[1\].metres_per_unit = 0"),
+        ('material = "wall"', 'material = "wall"\nreceiver = "yes"', r"meshes\[1\].receiver = 'yes'"),
+        ('material = "wall"', 'material = "wall"\nname = "left"', "surfaces or meshes are called 'left'"),
+        ('material = "wall"', 'material = "wall"\nposition_m = [0, 0]', r"meshes\[1\].position_m"),
+    ],
+)  # fmt: skip
+def test_mesh_mistakes(tmp_path: Path, old: str, new: str, message: str) -> None:
+    (tmp_path / "tent.obj").write_text(TENT, encoding="utf-8")
+    assert old in MESH
+    assert len(parse_scene(GOOD + MESH, folder=tmp_path).meshes[0].faces) == 2
+    with pytest.raises(SceneError, match=message):
+        parse_scene(GOOD + MESH.replace(old, new), folder=tmp_path)
+
+
+def test_meshes_do_not_stand_in_endless_streets(tmp_path: Path) -> None:
+    (tmp_path / "tent.obj").write_text(TENT, encoding="utf-8")
+    endless = GOOD[: GOOD.index("[[boxes]]")].replace(
+        'ground = "ground"', 'ground = "ground"\ninfinite = true'
+    )
+    with pytest.raises(SceneError, match="mesh 'tent' cannot repeat along an endless street"):
+        parse_scene(endless + MESH, folder=tmp_path)
+
+
+def test_two_coefficients_sky_and_polarization_are_read() -> None:
+    text = GOOD.replace("albedo = 0.2", "k_d = 0.3\nk_s = 0.2").replace(
+        "n2 = 1.5", "n2 = 1.5\n[reflection]\npolarised = true"
+    )
+    scene = parse_scene(text.replace("[irradiance]", '[sky]\nmodel = "cie7"\n[irradiance]'))
+    assert scene.materials["ground"] == Optics(0.3, 0.2, 1e9, 1.0, constant=True)
+    assert scene.materials["ground"].k_s([0.0, 60.0, 89.0]) == pytest.approx([0.2] * 3)
+    assert scene.polarised
+    assert scene.sky == Sky("cie7")
+    plain = parse_scene(GOOD)
+    assert (plain.polarised, plain.sky) == (False, Sky("isotropic"))
+    perez = '[sky]\nmodel = "perez"\n[irradiance]'
+    dated = parse_scene(CLEAR.replace("[materials.wall]", '[sky]\nmodel = "perez"\n[materials.wall]') + SITE)
+    assert 1310.0 < dated.sky.extraterrestrial_w_m2 < 1330.0  # the earth is far from the sun in June
+    given = parse_scene(
+        GOOD.replace("[irradiance]", perez.replace('"perez"', '"perez"\nextraterrestrial_w_m2 = 1400'))
+    )
+    assert given.sky == Sky("perez", 1400.0)
+
+
+def test_the_text_makes_the_scene_again(tmp_path: Path) -> None:
+    (tmp_path / "bodies").mkdir()
+    (tmp_path / "bodies" / "tent.obj").write_text(TENT, encoding="utf-8")
+    text = GOOD + MESH.replace('"tent.obj"', '"bodies/tent.obj"\nreceiver = true')
+    (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
+    scene = load_scene(tmp_path / "scene.toml")
+    result = simulate(scene, rel_tol=0.1)
+    result.save(tmp_path / "out.h5")
+    again = parse_scene(load_irradiance(tmp_path / "out.h5").scene_text, folder=tmp_path)
+    assert again.text == text
+    assert (again.surfaces, again.materials, again.sun, again.notes) == (
+        scene.surfaces, scene.materials, scene.sun, scene.notes
+    )  # fmt: skip
+    assert np.array_equal(again.meshes[0].vertices_m, scene.meshes[0].vertices_m)
+    assert "tent.obj (sha256 " in scene.notes[0]
+    repeated = simulate(again, rel_tol=0.1)
+    assert np.array_equal(repeated["tent"].value, result["tent"].value)
+
+
+def test_the_example_house_is_simulated() -> None:
+    scene = load_scene(Path(__file__).parents[3] / "examples" / "scenes" / "gable.toml")
+    assert len(scene.bands) == 3
+    assert (scene.sky.model, scene.polarised, scene.meshes[0].sides) == ("perez", True, 1)
+    assert [s.name for s in scene.receivers] == ["office.front", "window", "panel"]
+    result = simulate(scene, rel_tol=0.05, seed=2)
+    # cosine of the sun on the panel, by its angles
+    sun, tilt = scene.sun, math.radians(35.0)
+    zenith = math.radians(90.0 - sun.elevation_deg)
+    cosine = math.cos(zenith) * math.cos(tilt)
+    cosine += math.sin(zenith) * math.sin(tilt) * math.cos(math.radians(sun.azimuth_deg - 180.0))
+    assert result["panel"].contributions["direct"].value == pytest.approx(780.0 * cosine, rel=1e-3)
+    assert result["house"].value.shape == (16,)
+    assert np.sum(result["house"].value == 0.0) == 2  # the base
+    assert (
+        "receiver 'house': 2 of 16 faces stand wholly on other surfaces; nothing reaches them" in scene.notes
+    )
 
 
 def test_several_mistakes_are_all_named() -> None:
