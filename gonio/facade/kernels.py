@@ -13,7 +13,7 @@ from typing import Any
 from numba import njit
 
 from gonio.facade import backward as _backward
-from gonio.facade import gray, intersect, layout, lobe, sampling, skylight, stokes, tracing, vectors
+from gonio.facade import gray, intersect, lanes, layout, lobe, sampling, skylight, stokes, tracing, vectors
 from gonio.facade import photons as _photons_module
 from gonio.facade import rows as _rows_module
 
@@ -29,6 +29,7 @@ def _digest() -> int:
         sampling,
         gray,
         vectors,
+        lanes,
         intersect,
         skylight,
         tracing,

@@ -85,7 +85,9 @@ def pack(
     cover_first, cover = covers(
         origin, shapes.u, shapes.v, normal, plane, shapes.sides, triangle=shapes.triangle, periodic=periodic
     )
-    tree = bvh.build(origin, shapes.u, shapes.v, shapes.triangle, extent, periodic=periodic)
+    tree = bvh.build(
+        origin, shapes.u, shapes.v, normal, dual_u, dual_v, shapes.triangle, plane, extent, periodic=periodic
+    )
     order = tree.order
 
     side_grid, patches = _patches(shapes, length)
@@ -109,8 +111,9 @@ def pack(
         cover_first=first,
         cover=place[cover[from_declared]],
         materials=table,
-        bounds=tree.bounds,
-        child=tree.child,
+        nodes=tree.nodes,
+        leaves=tree.leaves,
+        record=tree.record,
         extent=extent,
         periodic=periodic,
     )
