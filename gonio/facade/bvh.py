@@ -1,10 +1,10 @@
-"""The tree that finds what a ray hits: eight children a node, up to four primitives a leaf.
+"""The tree that finds what a ray hits: eight children a node, up to eight primitives a leaf.
 
 A node holds the boxes of its children in float32, rounded outwards, and their numbers: a node, or leaf
 ``-1 - number``; children that do not exist have a box that nothing meets.  A leaf holds its primitives in
-float32, and the first of them and how many there are; ``record`` holds all in float64, in the order of the
-tree.  `gonio.facade.lanes` says what the rows are.  With one leaf, or in an endless street (whose boxes have no
-ends), there are no nodes, and rays try all leaves.
+float32, in blocks of four; ``record`` holds all in float64, in the order of the tree.  `gonio.facade.lanes`
+says what the rows are.  Few primitives, or those of an endless street (whose boxes have no ends), are one
+leaf without nodes.
 """
 
 from __future__ import annotations
@@ -83,8 +83,7 @@ def build(
     record[:, 13] = np.where(triangle[order] > 0, 1.0, 2.0)
     record[:, 14] = plane[order]
     record[:, 15] = order
-    return Tree(nodes, _packed(record, 2.0 * largest[order], leaf, periodic=periodic), record, order
-    )
+    return Tree(nodes, _packed(record, 2.0 * largest[order], leaf, periodic=periodic), record, order)
 
 
 def _packed(
@@ -116,10 +115,10 @@ def _aligned(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
     room = np.empty(size + 64, np.uint8)
     start = -room.ctypes.data % 64
-    return room[start : start + size].view(dtype).reshape(shape)
+    return np.asarray(room[start : start + size].view(dtype).reshape(shape))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[misc]
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _divide(box: Any, order: Any, bounds: Any, child: Any, leaf: Any) -> Any:
     """Fill nodes and leaves from the boxes, which are sorted as `order` is; return how many there are."""
     task = np.empty((len(order) + 8, 4), np.int64)  # node, first, end, depth
@@ -173,7 +172,7 @@ def _divide(box: Any, order: Any, bounds: Any, child: Any, leaf: Any) -> Any:
     return nodes, leaves
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[misc]
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _around(box: Any, first: int, end: int, out: Any) -> None:
     """Write to `out` the box around boxes ``first`` to ``end - 1``."""
     for j in range(6):
@@ -184,8 +183,8 @@ def _around(box: Any, first: int, end: int, out: Any) -> None:
             out[j + 3] = max(out[j + 3], box[i, j + 3])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[misc]
-def _area(box: Any) -> float:
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _area(box: Any) -> Any:
     """Return half the surface of a box."""
     x = np.float64(box[3]) - box[0]
     y = np.float64(box[4]) - box[1]
@@ -193,12 +192,12 @@ def _area(box: Any) -> float:
     return x * y + y * z + z * x
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[misc]
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _split(box: Any, order: Any, first: int, end: int, room: Any) -> int:
     """Divide boxes ``first`` to ``end - 1`` in place where the surface-area heuristic is least.
 
-    Binned by twice their centres along each axis (Wald 2007, "On fast construction of SAH-based bounding volume
-    hierarchies").  Returns where the second part begins.
+    Binned by twice their centres along each axis (Wald 2007, "On fast construction of SAH-based bounding
+    volume hierarchies").  Returns where the second part begins.
     """
     low = np.inf, np.inf, np.inf
     high = -np.inf, -np.inf, -np.inf
@@ -262,12 +261,12 @@ def _split(box: Any, order: Any, first: int, end: int, room: Any) -> int:
     return i
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[misc]
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _per_bin(low: float, high: float) -> float:
     """Return bins per metre, 0 where all is in one place."""
     return _BINS * (1.0 - 1e-6) / (high - low) if high > low else 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[misc]
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _bin(x: float, low: float, scale: float) -> int:
     return min(int((x - low) * scale), _BINS - 1)

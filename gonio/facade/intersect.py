@@ -14,9 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from gonio.facade.lanes import BLOCK_ROWS, NODE_ROWS, as_int32, boxes, candidates, float_bits, frame, lowest, pointer
+from gonio.facade.lanes import (
+    BLOCK_ROWS,
+    NODE_ROWS,
+    as_int32,
+    boxes,
+    candidates,
+    float_bits,
+    frame,
+    lowest,
+    pointer,
+)
 from gonio.facade.sampling import compiled
-
 
 _EDGE = 1e-9
 _TIE = 2e-9  # of the scene's radius: how far apart coplanar primitives may lie, so rank decides
@@ -48,14 +57,14 @@ def occluded(g: Any, p: Any, d: Any, own: int) -> bool:
 
 @compiled
 def _tree(g: Any) -> Any:
-    """Return what the search reads as addresses: a function of many branches would count references to arrays."""
+    """Return what the search reads: sizes, and addresses, which it need not check or count references to."""
     sizes = g.nodes.shape[0], g.leaves.shape[0]
     tree = pointer(g.nodes), pointer(g.leaves), pointer(g.record)
     return sizes, tree, (pointer(g.origin), pointer(g.u), pointer(g.v))
 
 
 @compiled
-def _first_hit(tree: Any, extent: float, periodic: bool, p: Any, d: Any, own: int, anything: int) -> Any:
+def _first_hit(tree: Any, extent: float, periodic: bool, p: Any, d: Any, own: int, anything: Any) -> Any:
     """Return the nearest hit as `nearest` does, or with `anything` the first that is found."""
     (n_nodes, n_leaves), (nodes, leaves, record), edges = tree
     found = np.int64(-1)
@@ -157,7 +166,7 @@ def _key(distance: Any, child: Any) -> Any:
 
 @compiled
 def _slab(o: float, d: float, place: int) -> Any:
-    """Return, for one axis, the place of the near low side in a node, and the ray as `boxes` wants it."""
+    """Return, for one axis, the place of the near sides in a node, and the ray as `boxes` reads it."""
     inverse = np.float32(1.0 / math.copysign(max(abs(d), 1e-18), d))
     at = o * np.float64(inverse)
     slack = 2.4e-7 * abs(at)

@@ -6,9 +6,9 @@ float32 in its language.  On a machine with narrower registers a vector becomes 
 Both are filters that never lose a hit; the test of a primitive that counts is made in float64
 (`gonio.facade.intersect`).  With the unit roundoff ``u = 2^-24`` their error bounds are:
 
-Boxes.  A side at x is met at ``x/d - o/d``; o/d is rounded up for the near side and down for the far one.  The
-inverse direction and the result lose one u each, so the far distance is stretched by 1 + 10 u.  Without fused
-operations x/d loses another u, which is u x in metres and less than the boxes are padded.
+Boxes.  A side at x is met at ``x/d - o/d``; o/d is rounded up for the near side and down for the far one.
+The inverse direction and the result lose one u each, so the far distance is stretched by 1 + 10 u.  Without
+fused operations x/d loses another u, which is u x in metres and less than the boxes are padded.
 
 Primitives.  ``t = (c - n.p)/(n.d)``: numerator and denominator err by at most 8 u (E + p) and 6 u, so t errs
 by ``(8 u (E + p) + 6 u t)/(n.d)``; 32 u (E + p + t)/(n.d) covers it and what the coordinates of the hit lose
@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from llvmlite import ir
+from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.extending import intrinsic
 
@@ -31,8 +31,8 @@ NODE_ROWS = 7
 """float32 rows of 8 in a node: low x, y, z, high x, y, z of its children, and the children as int32."""
 
 BLOCK_ROWS = 15
-"""float32 rows of 4 in a leaf: n, c; dual_u, c_u; dual_v, c_v; largest dual; limit of a + b; and as int32 the
-first primitive and their number."""
+"""float32 rows of 4 in a block of a leaf: n, c; dual_u, c_u; dual_v, c_v; largest dual; limit of a + b; and
+as int32 the first primitive, the mask of those that there are, and whether another block follows."""
 
 _BOXES, _PRIMITIVES = 8, 4
 _SINGLE, _INT32, _INT64 = ir.FloatType(), ir.IntType(32), ir.IntType(64)
@@ -164,7 +164,7 @@ def boxes(_typing: Any, nodes: Any, node: Any, rows: Any, ray: Any, limit: Any, 
     """Return the mask of the children of `node` whose boxes the ray meets within `limit`.
 
     Writes the bits of the distance at which each box is entered: as integers they sort as the distances do.
-    `rows` are the places in a node of the near low x, y, z (0 or 24, 8 or 32, 16 or 40), and `ray` is for each
+    `rows` are the places in a node of the near x, y, z (0 or 24, 8 or 32, 16 or 40), and `ray` is for each
     axis ``(inverse direction, near origin times it, far origin times it)``.
     """
 
@@ -190,10 +190,13 @@ def boxes(_typing: Any, nodes: Any, node: Any, rows: Any, ray: Any, limit: Any, 
 
 
 @_intrinsic
-def candidates(_typing: Any, blocks: Any, block: Any, p: Any, d: Any, reach: Any, limit: Any, latest: Any) -> Any:
+def candidates(
+    _typing: Any, blocks: Any, block: Any, p: Any, d: Any, reach: Any, limit: Any, latest: Any
+) -> Any:
     """Return the mask of the primitives of a leaf that the ray may meet for 0 < t <= limit.
 
-    Writes for each the largest t at which it can be met, or NaN.  `reach` is 32 u times the largest coordinate that origin and scene have, m.
+    Writes for each the largest t at which it can be met, or NaN.  `reach` is 32 u times the largest coordinate
+    that origin and scene have, m.
     """
 
     def build(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
@@ -209,7 +212,9 @@ def candidates(_typing: Any, blocks: Any, block: Any, p: Any, d: Any, reach: Any
         steep = builder.fdiv(one, _dot(builder, row[0:3], d))
         t = builder.fmul(height, steep)
         span = _add(
-            builder, _times(builder, _size(builder, t), _constant(32.0 * 2.0**-24, n)), _all(builder, reach, n)
+            builder,
+            _times(builder, _size(builder, t), _constant(32.0 * 2.0**-24, n)),
+            _all(builder, reach, n),
         )
         error = builder.fmul(span, _size(builder, steep))
         x = [_add(builder, p[i], _times(builder, t, d[i])) for i in range(3)]

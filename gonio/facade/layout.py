@@ -55,7 +55,7 @@ class Geometry(NamedTuple):
     cover_first: IntArray  # (m + 1,) of `cover`
     cover: IntArray  # coplanar primitives that hide a part of this one
     materials: FloatArray  # (k, 5): rho_d, rho_s, alpha, n2, constant
-    nodes: NDArray[np.float32]  # (nodes, 7, 8) boxes and numbers of the tree's eight children, see gonio.facade.bvh
+    nodes: NDArray[np.float32]  # (nodes, 7, 8) the tree's boxes and links, see gonio.facade.bvh
     leaves: NDArray[np.float32]  # (leaves, 15, 4) the primitives of the leaves, rounded
     record: FloatArray  # (m, 16) each primitive's equations, see gonio.facade.bvh
     extent: float  # m, radius of the scene
