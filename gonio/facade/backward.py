@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from gonio.facade.intersect import nearest, occluded
-from gonio.facade.layout import DIFFUSE, DIRECT, LOST, SKY, SPECULAR
+from gonio.facade.layout import DIFFUSE, DIRECT, LOST, RHO_D, SKY, SPECULAR
+from gonio.facade.lobe import above_horizon
 from gonio.facade.sampling import (
     MIX_B,
     compiled,
@@ -24,7 +25,7 @@ from gonio.facade.skylight import sky_radiance
 from gonio.facade.tracing import MAX_BOUNCES, coefficients, exponent, facing, glossy, lobe_density, point_of
 from gonio.facade.vectors import along, dot, mirrored, negative, row
 
-_LOBE_SHARE = 0.2  # of paths that try the lobe at a glossy surface
+_LEAST_SHARE = 0.1  # of paths that try the lobe at a glossy surface, and of those that do not
 
 
 @compiled
@@ -47,8 +48,9 @@ def backward_paths(
     kind, and `exposed` (units,) counts the points that no coplanar primitive hides; only those have a value.
 
     Without `lobe` only diffuse reflections are followed and no path weighs more than one.  With it the lobe
-    is evaluated on the reversed path: its weight cos(theta_i)/cos(theta_o) has no bound at grazing exit, so
-    this is a check for broad lobes and not the way of choice.
+    is evaluated on the reversed path, for unpolarised light: its weight cos(theta_i)/cos(theta_o) has no
+    bound at grazing exit, so this is a check and not the way of choice.  The sun in the lobe is found both by
+    rays to the sun and by rays that took the lobe, weighed by the balance heuristic (Veach and Guibas 1995).
     """
     rays = 0
     for unit in range(window[0], window[1]):
@@ -77,6 +79,12 @@ def backward_paths(
                 mirror = mirrored(d, n)
                 cos_o = -dot(n, d)
                 counter += 6
+                share = 0.0
+                if shiny:
+                    k_d, k_s = coefficients(g, k, cos_o, light.conserving)
+                    share = 1.0
+                    if g.materials[g.optics[k], RHO_D] > 0.0:
+                        share = min(max(k_s / max(k_d + k_s, 1e-9), _LEAST_SHARE), 1.0 - _LEAST_SHARE)
                 if light.dni > 0.0:
                     if bounce == 0:
                         u, w = sobol(directions, i, 4, key), sobol(directions, i, 5, key)
@@ -94,25 +102,36 @@ def backward_paths(
                                 k_d, k_s = coefficients(g, k, cosine, light.conserving)
                                 out[unit, kind] += power * k_d
                                 if shiny:
-                                    dsf = k_s * lobe_density(dot(mirror, s), exponent(g, k))
-                                    out[unit, SPECULAR] += power * math.pi * dsf / cos_o
+                                    alpha = exponent(g, k)
+                                    density = lobe_density(dot(mirror, s), alpha)
+                                    if light.renormalize:
+                                        k_s /= above_horizon(alpha, cosine)
+                                    # over the density of rays to the sun, 1/(2 pi disc)
+                                    other = share * density * 2.0 * math.pi * light.disc
+                                    power *= math.pi * k_s * density / (cos_o * (1.0 + other))
+                                    out[unit, SPECULAR] += power
                 if bounce == 0:
                     u, w = sobol(directions, i, 2, key), sobol(directions, i, 3, key)
                 elif bounce == 1:
                     u, w = sobol(directions, i, 6, key), sobol(directions, i, 7, key)
                 else:
                     u, w = uniform(draws, counter + 2), uniform(draws, counter + 3)
-                if shiny and uniform(draws, counter + 4) < _LOBE_SHARE:
-                    d = lobe_direction(mirror[0], mirror[1], mirror[2], exponent(g, k), u, w)
+                lobed = shiny and uniform(draws, counter + 4) < share
+                alpha = 0.0
+                if lobed:
+                    alpha = exponent(g, k)
+                    d = lobe_direction(mirror[0], mirror[1], mirror[2], alpha, u, w)
                     cosine = dot(n, d)
                     if cosine <= 0.0:
                         break
                     k_s = coefficients(g, k, cosine, light.conserving)[1]
-                    weight *= k_s * cosine / cos_o / _LOBE_SHARE
+                    if light.renormalize:
+                        k_s /= above_horizon(alpha, cosine)
+                    weight *= k_s * cosine / (cos_o * share)
                     kind = SPECULAR
                 else:
                     if shiny:
-                        weight /= 1.0 - _LOBE_SHARE
+                        weight /= 1.0 - share
                     d = cosine_direction(n, u, w)
                     k_d = 1.0 if bounce == 0 else coefficients(g, k, dot(n, d), light.conserving)[0]
                     if bounce <= 2:  # the first reflections carry most of the light: weigh, do not gamble
@@ -125,6 +144,10 @@ def backward_paths(
                 hit, t, _, _ = nearest(g, p, d, k)
                 if hit < 0:
                     out[unit, kind] += weight * math.pi * sky_radiance(light, d)
+                    if lobed and d[2] > 0.0 and 1.0 - dot(d, light.sun) < light.disc:
+                        other = share * lobe_density(dot(mirror, d), alpha) * 2.0 * math.pi * light.disc
+                        sun_radiance = light.dni / (2.0 * math.pi * light.disc)
+                        out[unit, SPECULAR] += weight * math.pi * sun_radiance * other / (1.0 + other)
                     break
                 n, back = facing(g, hit, d)
                 if back < 0:

@@ -12,7 +12,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from gonio.errors import ConfigError, SceneError
+from gonio.errors import ConfigError
 from gonio.facade.lighting import light_notes, light_of
 from gonio.facade.optics import EnergyWarning, excess_text
 from gonio.facade.pack import pack
@@ -77,8 +77,7 @@ def simulate(
     ConfigError
         An option outside its range.
     SceneError
-        ``estimator="backward"`` with ``horizon="renormalize"``, whose normalisation it does not know; a state
-        of another scene.
+        A state of another scene.
     """
     if not 1e-5 <= rel_tol <= 0.5:
         raise ConfigError(
@@ -91,10 +90,6 @@ def simulate(
     if estimator not in get_args(Estimator):
         names = ", ".join(get_args(Estimator))
         raise ConfigError(f"estimator = '{estimator}' is not known; choose among {names}")
-    if estimator == "backward" and scene.horizon == "renormalize":
-        raise SceneError(
-            'estimator = "backward" cannot renormalize the lobe; use horizon = "absorb" or "paths"'
-        )
     notes = [*scene.notes, *light_notes(scene), *_excesses(scene)]
     started_s = time.monotonic()
     packed = pack(scene.surfaces, scene.materials, meshes=scene.meshes, periodic=scene.infinite)
