@@ -90,7 +90,7 @@ def arriving(packed: Packed, d: Vector, *, polarised: bool, alone: int) -> float
 
 
 def pair_of_mirrors(theta: float, *, crossed: bool) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Two mirrors met at `theta`, their planes of incidence parallel or perpendicular; light falls steeply."""
+    """Two mirrors met at `theta`, their planes of incidence parallel or perpendicular; light from above."""
     d = unit([0.05, 0.1, -1.0])
     s = unit(np.cross(d, [1.0, 0.3, 0.2]))
     n0 = math.sin(theta) * np.cross(d, s) - math.cos(theta) * d
