@@ -1,13 +1,15 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gonio.config import Strict
 from gonio.errors import SceneError
-from gonio.facade import Optics, Sky, load_irradiance, load_scene, parse_scene, simulate
+from gonio.facade import Optics, Sky, load_irradiance, load_scene, parse_scene, scene_file, simulate
 
 GOOD = """
 title = "Test street"
@@ -328,3 +330,12 @@ def test_band_of_a_measured_material_becomes_optics() -> None:
     assert optics.alpha == pytest.approx(300.0, rel=1e-3)
     assert float(optics.k_s(8.0)) == pytest.approx(0.04, rel=1e-3)
     assert Optics.from_material(Material.lambert(0.3)) == Optics(0.3)
+
+
+def test_every_key_is_on_its_page() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "scene.md").read_text(encoding="utf-8")
+    words = {word for code in re.findall(r"`([^`]+)`", page) for word in re.findall(r"\w+", code)}
+    tables = [t for t in vars(scene_file).values() if isinstance(t, type) and issubclass(t, Strict)]
+    keys = {key for table in tables for key in table.model_fields}
+    assert len(keys) > 50
+    assert not keys - words
