@@ -89,9 +89,12 @@ def _write_process(process: Any, result: Irradiance) -> None:
     process["date"] = result.date
     process["scene"] = result.scene_text
     process["method"] = result.method
-    process["interrupted"] = result.interrupted
-    for key in ("seed", "rel_tol", "relative_error", "converged", "rays", "duration_s", "floor_w_m2"):
-        process[key] = getattr(result, key)
+    for key in ("converged", "interrupted"):
+        process[key] = bool(getattr(result, key))
+    for key in ("seed", "rays"):
+        process[key] = int(getattr(result, key))
+    for key in ("rel_tol", "relative_error", "duration_s", "floor_w_m2"):
+        process[key] = float(getattr(result, key))
     _declare(process["duration_s"], "time", "s")
     _declare(process["floor_w_m2"], "irradiance", "W/m2")
     for key in ("rel_tol", "relative_error"):
@@ -102,12 +105,12 @@ def _write_process(process: Any, result: Irradiance) -> None:
     _write_mapping(process, "levels", "material", "level", result.levels)
     energy = _group(process, "energy", "NXcollection")
     for key in _POWERS:
-        energy[key] = getattr(result.energy, key)
+        energy[key] = float(getattr(result.energy, key))
         _declare(energy[key], "power", "W")
     if result.exchange is not None:
         exchange = _group(process, "exchange", "NXcollection")
         for key in _EXCHANGE:
-            exchange[key] = getattr(result.exchange, key)
+            exchange[key] = float(getattr(result.exchange, key))
             _declare(exchange[key], *(("power", "W") if key.endswith("_w") else ("ratio", _WITHOUT_UNIT)))
     if result.omissions:
         omissions = _group(process, "omissions", "NXcollection")
@@ -138,9 +141,9 @@ def _write_receiver(entry: Any, name: str, number: int, r: Receiver) -> None:
     if r.vertices_m is not None and r.faces is not None:
         group["face"] = np.arange(len(r.faces))
         _declare(group["face"], "index", _WITHOUT_UNIT)
-        group["vertices"] = r.vertices_m
+        group["vertices"] = np.asarray(r.vertices_m, np.float64)
         _declare(group["vertices"], "position", "m")
-        group["faces"] = r.faces
+        group["faces"] = np.asarray(r.faces, np.int64)
         _declare(group["faces"], "index of three vertices", _WITHOUT_UNIT)
     else:
         for key in ("origin_m", "u_m", "v_m"):
@@ -153,7 +156,7 @@ def _write_receiver(entry: Any, name: str, number: int, r: Receiver) -> None:
     for part in CONTRIBUTIONS:
         _put(group, part, r.contributions[part])
         _put(group, f"mean_{part}", r.mean_contributions[part])
-    group["discretisation"] = r.discretisation_w_m2
+    group["discretisation"] = float(r.discretisation_w_m2)
     _declare(group["discretisation"], "irradiance", "W/m2")
 
 
@@ -162,11 +165,11 @@ def _write_bands(entry: Any, result: Irradiance) -> None:
         entry, "bands", "NXdata", signal="irradiance", axes=["band", "receiver"], title="Means by band"
     )
     group["band"] = np.array([0.5 * (b.low_nm + b.high_nm) for b in result.bands])
-    group["limits"] = np.array([(b.low_nm, b.high_nm) for b in result.bands])
+    group["limits"] = np.array([(b.low_nm, b.high_nm) for b in result.bands], np.float64)
     for key in ("band", "limits"):
         _declare(group[key], "wavelength", "nm")
     for key in ("dni", "dhi"):
-        group[key] = np.array([getattr(b, f"{key}_w_m2") for b in result.bands])
+        group[key] = np.array([getattr(b, f"{key}_w_m2") for b in result.bands], np.float64)
         _declare(group[key], "irradiance", "W/m2")
     names = [r.name for r in result.receivers]
     group["receiver"] = np.arange(len(names))
@@ -204,9 +207,9 @@ def _texts(group: Any, name: str, texts: Sequence[str]) -> None:
 
 
 def _put(group: Any, name: str, estimate: Estimate) -> None:
-    group[name] = estimate.value
+    group[name] = np.asarray(estimate.value, np.float64)
     _declare(group[name], "irradiance", "W/m2")
-    group[f"{name}_errors"] = estimate.standard_error
+    group[f"{name}_errors"] = np.asarray(estimate.standard_error, np.float64)
     _declare(group[f"{name}_errors"], "standard error of irradiance", "W/m2")
 
 
