@@ -23,16 +23,17 @@ def light_of(scene: Scene) -> Light:
         disc=disc,
         dni=scene.direct_w_m2 / (1.0 - 0.5 * disc),
         dhi=float(scene.dhi_w_m2),
-        sky=sky.coefficients(
-            scene.sky or sky.Sky(), scene.sun, scene.dhi_w_m2, broadband_w_m2=_broadband(scene)
-        ),
+        sky=sky.coefficients(scene.sky, scene.sun, scene.dhi_w_m2, broadband_w_m2=_broadband(scene)),
         conserving=scene.energy == "conserving",
         renormalize=scene.horizon == "renormalize",
     )
 
 
 def light_notes(scene: Scene) -> tuple[str, ...]:
-    """Return which sky it is, what of it was moved into its model's range, and what the horizon hides."""
+    """Return which sky it is, what of it was moved into its model's range, and what the horizon hides.
+
+    What the scene's own notes say already is left out.
+    """
     found: list[str] = []
     sun = scene.sun
     radius_deg = 0.5 * sun.angular_diameter_deg
@@ -46,7 +47,14 @@ def light_notes(scene: Scene) -> tuple[str, ...]:
             f"the sun's centre is {sun.elevation_deg:.3f} deg above the horizon, which hides "
             f"{100.0 * hidden:.1f} % of its disc; the DNI is that of the whole disc"
         )
-    return (*found, *sky.notes(scene.sky or sky.Sky(), sun, _broadband(scene)))
+    outside = scene.sky.extraterrestrial_w_m2
+    if _broadband(scene)[0] > 1.04 * outside:  # the orbit makes 3.4 %
+        found.append(
+            f"DNI = {_broadband(scene)[0]:.0f} W/m2 is more than arrives outside the atmosphere "
+            f"({outside:.0f} W/m2); check its unit"
+        )
+    found += sky.notes(scene.sky, sun, _broadband(scene))
+    return tuple(note for note in found if note not in scene.notes)
 
 
 def _broadband(scene: Scene) -> tuple[float, float]:

@@ -324,7 +324,7 @@ def test_without_light_everything_is_dark(estimator: str) -> None:
 
 @both
 def test_the_sun_below_the_horizon_leaves_the_sky(estimator: str) -> None:
-    set_sun = replace(town((0.0, 0.0, 0.0)), sun=Sun(300.0, -1.0), sky=None)
+    set_sun = replace(town((0.0, 0.0, 0.0)), sun=Sun(300.0, -1.0), sky=Sky())
     result = run(set_sun, estimator, rel_tol=0.02)
     without = run(replace(set_sun, dni_w_m2=0.0), estimator, rel_tol=0.02)
     for name in ("left", "right"):

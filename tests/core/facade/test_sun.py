@@ -99,6 +99,15 @@ def test_below_the_horizon_there_is_no_direct_light_and_it_is_said() -> None:
     assert [n for n in result.notes if "300.0 W/m2 is not used" in n]
 
 
+def test_more_sun_than_there_is_outside_the_atmosphere_is_said() -> None:
+    def said(dni: float) -> str:
+        scene = Scene((plate(np.array([1.0, 0.0, 0.0])),), BLACK, Sun(90.0, 30.0), dni, 100.0)
+        return " ".join(light_notes(scene))
+
+    assert "DNI = 100000 W/m2 is more than arrives outside the atmosphere (1361 W/m2)" in said(1e5)
+    assert said(1100.0) == ""
+
+
 def test_position_of_the_example_of_the_solar_position_algorithm() -> None:
     # Reda and Andreas (2004), A.5: zenith angle 50.11162 deg, azimuth 194.34024 deg
     zone = datetime.timezone(datetime.timedelta(hours=-7))
