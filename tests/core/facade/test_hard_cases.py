@@ -11,13 +11,13 @@ import pytest
 
 from gonio.errors import SceneError
 from gonio.facade import Irradiance, Optics, Scene, Sky, Sun, Surface, box, parse_scene, simulate, street
-from gonio.facade.geometry import Vector
+from gonio.facade.geometry import Mesh, Vector
 from gonio.fresnel import reflectance
 
 BLACK = Optics(0.0)
 NOON = Sun(180.0, 45.0, 0.0)
 
-both = pytest.mark.parametrize("estimator", ["split"])
+both = pytest.mark.parametrize("estimator", ["paths"])
 
 
 def run(scene: Scene, estimator: str, rel_tol: float = 0.01, seed: int = 1) -> Irradiance:
@@ -333,9 +333,23 @@ def test_the_sun_below_the_horizon_leaves_the_sky(estimator: str) -> None:
     assert [n for n in result.notes if "below the horizon" in n and "800.0 W/m2 is not used" in n]
 
 
+@both
+def test_one_triangle(estimator: str) -> None:
+    corners = np.array([[0.0, 0.0, 2.0], [3.0, 0.0, 2.0], [0.0, 1.0, 2.0]])
+    alone = Mesh(
+        "alone", corners, np.array([[0, 1, 2]]), ("m",), np.zeros(1, np.int64), receiver=True
+    )  # fmt: skip
+    scene = Scene((), {"m": Optics(0.5)}, NOON, 800.0, 100.0, meshes=(alone,))
+    got, error = mean(run(scene, estimator, rel_tol=0.001), "alone")
+    assert got == pytest.approx(800.0 * math.sqrt(0.5) + 100.0, abs=4.0 * error + 1e-9)
+
+
 def test_scenes_without_anything_to_compute_are_refused() -> None:
-    with pytest.raises(SceneError, match="no receiver"):
+    with pytest.raises(SceneError, match="the scene is empty"):
         Scene((), {"m": BLACK}, NOON, 800.0, 100.0)
+    bare = Surface("bare", (0, 0, 0), (1, 0, 0), (0, 1, 0), "m")
+    with pytest.raises(SceneError, match="no receiver"):
+        Scene((bare,), {"m": BLACK}, NOON, 800.0, 100.0)
     text = "receivers = []\n[materials.m]\nalbedo = 0.5\n[sun]\nazimuth_deg = 0.0\nelevation_deg = 45.0\n"
     with pytest.raises(SceneError, match="no surfaces"):
         parse_scene(text + "[irradiance]\ndni_w_m2 = 1.0\ndhi_w_m2 = 1.0\n")

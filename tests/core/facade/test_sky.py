@@ -143,9 +143,9 @@ def sky_integral(
     Panels halve their width towards the sun's zenith angle and azimuth, and towards the horizon.
     """
     halves = 0.5 * math.pi * 2.0 ** -np.arange(36.0)
-    zenith = math.radians(90.0 - sun.elevation_deg)
+    zenith, horizon = math.radians(90.0 - sun.elevation_deg), 0.5 * math.pi
     z = np.concatenate(
-        [[0.0, zenith, math.acos(0.01)], zenith - halves, zenith + halves, math.pi / 2 - halves[:9]]
+        [[0.0, zenith, math.acos(0.01)], zenith - halves, zenith + halves, horizon - halves[:9]]
     )
     z = np.unique(z[(z >= 0.0) & (z < horizon)])
     a = np.unique(np.clip(np.concatenate([-4 * halves, [0.0], 4 * halves]), *azimuths))

@@ -55,9 +55,7 @@ def sky_part(*surfaces: Surface, rows: int = 1, columns: int = 1, infinite: bool
     return np.array([both.value, both.standard_error])
 
 
-@pytest.mark.parametrize(
-    ("x", "y", "z"), [(1, 1, 1), (4, 0.5, 0.2), (1, 3, 10), (8, 8, 0.5)]
-)
+@pytest.mark.parametrize(("x", "y", "z"), [(1, 1, 1), (4, 0.5, 0.2), (1, 3, 10), (8, 8, 0.5)])
 def test_a_plate_under_a_plate(x: float, y: float, z: float) -> None:
     lower = Surface("lower", (0, 0, 0), (x, 0, 0), (0, y, 0), "black", 1, 1)
     upper = Surface("upper", (0, 0, z), (x, 0, 0), (0, y, 0), "black")
