@@ -109,7 +109,7 @@ def _draw_columns(receivers: Sequence[Receiver], columns: Sequence[_Column], fir
     heights = [float(np.clip(map_width_in * _aspect(r), 0.7, 3.6)) for r in shown]
     figure = style.new_figure(9.8, sum(heights) + 0.78 * len(shown))
     panels = figure.subplots(len(shown), 2, squeeze=False, gridspec_kw={"height_ratios": heights})
-    style.place(figure, left_in=0.55, right_in=0.85, gap_x_in=1.25, gap_y_in=0.78)
+    style.place(figure, left_in=0.68, right_in=0.85, gap_x_in=1.25, gap_y_in=0.78)
     for number, column in enumerate(columns):
         norm = common_norm(column.values)  # one scale for all receivers, so that they compare
         mesh = None

@@ -20,15 +20,23 @@ from gonio.report.maps import FloatArray, common_norm
 if TYPE_CHECKING:
     from gonio.facade import Receiver
 
-VIEWS = ((135.0, 30.0), (315.0, 30.0))
-"""Azimuth and elevation of the viewer, deg: from the south-east and from the north-west, from above."""
+ELEVATION_DEG = 30.0
+"""Of the viewer above the horizon."""
 
-_COMPASS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
+_OUTLINED = 400  # so few faces are told apart by a line around each
+_COMPASS = (
+    "north", "north-north-east", "north-east", "east-north-east",
+    "east", "east-south-east", "south-east", "south-south-east",
+    "south", "south-south-west", "south-west", "west-south-west",
+    "west", "west-north-west", "north-west", "north-north-west",
+)  # fmt: skip
 _BACK = "#bfbfbf"
 
 
 def draw_mesh(receiver: Receiver, number: int = 0) -> style.Drawing:
     """Draw a mesh receiver: total irradiance above, its standard error below, from two sides."""
+    first_deg = view_deg(receiver)
+    views = (first_deg, first_deg + 180.0)
     figure = style.new_figure(9.8, 7.0)
     panels = figure.subplots(2, 2, squeeze=False)
     style.place(figure, left_in=0.15, right_in=1.0, bottom_in=0.15, top_in=0.35, gap_x_in=0.2, gap_y_in=0.45)
@@ -39,10 +47,10 @@ def draw_mesh(receiver: Receiver, number: int = 0) -> style.Drawing:
     for row, (heading, colour_map, values) in enumerate(rows):
         norm = common_norm([values])
         drawn = None
-        for column, (azimuth_deg, elevation_deg) in enumerate(VIEWS):
+        for column, azimuth_deg in enumerate(views):
             axes = panels[row, column]
-            drawn = _draw_view(axes, receiver, values, colour_map, norm, azimuth_deg, elevation_deg)
-            side = _COMPASS[round(azimuth_deg / 45.0) % 8]
+            drawn = _draw_view(axes, receiver, values, colour_map, norm, azimuth_deg)
+            side = _COMPASS[round(azimuth_deg / 22.5) % 16]
             axes.set_title(style.plain(f"{receiver.name}: {heading}, seen from the {side}"))
         _colour_bar(figure, drawn, panels[row, 1], f"{heading} / (W/m²)")
     return style.Drawing(
@@ -50,11 +58,28 @@ def draw_mesh(receiver: Receiver, number: int = 0) -> style.Drawing:
         title=style.plain(f"Irradiance on {receiver.name}"),
         caption=(
             f"Each of the {len(receiver.value)} faces in the colour of its irradiance (above) and of its "
-            f"standard error (below), in parallel projection from {VIEWS[0][1]:g}° above the horizon. Light "
-            "grey: faces seen from behind, which carry no value."
+            f"standard error (below), in parallel projection from {ELEVATION_DEG:g}° above the horizon. "
+            "Light grey: faces seen from behind, which carry no value."
         ),
         figure=figure,
     )
+
+
+def view_deg(receiver: Receiver) -> float:
+    """Return the azimuth, 90...180 deg, from which (and from opposite) most different faces are seen.
+
+    The sum of ``area sqrt(|cosine|)`` over the faces is largest where the view is shared among them: a house
+    is seen at its corner and not front on.
+    """
+    assert receiver.vertices_m is not None
+    assert receiver.faces is not None
+    a, b, c = np.moveaxis(receiver.vertices_m[receiver.faces], 1, 0)
+    normal = np.cross(b - a, c - a)[:, :2]  # times twice the area; its horizontal part
+    azimuths_deg = np.arange(90.0, 181.0, 15.0)
+    towards = np.stack([np.sin(np.radians(azimuths_deg)), np.cos(np.radians(azimuths_deg))])
+    seen = np.sqrt(np.linalg.norm(normal, axis=1)) @ np.sqrt(np.abs(normal @ towards))
+    relative = seen / max(float(seen.max()), 1e-300)
+    return float(azimuths_deg[int(np.argmax(np.round(relative, 9)))])
 
 
 def projected(vertices_m: FloatArray, azimuth_deg: float, elevation_deg: float) -> FloatArray:
@@ -75,11 +100,10 @@ def _draw_view(
     colour_map: str,
     norm: Normalize,
     azimuth_deg: float,
-    elevation_deg: float,
 ) -> PolyCollection:
     assert receiver.vertices_m is not None
     assert receiver.faces is not None
-    seen = projected(receiver.vertices_m, azimuth_deg, elevation_deg)
+    seen = projected(receiver.vertices_m, azimuth_deg, ELEVATION_DEG)
     corners = seen[receiver.faces]  # (f, 3, 3)
     a, b, c = np.moveaxis(corners[:, :, :2], 1, 0)
     facing = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0] > 0.0
@@ -89,8 +113,8 @@ def _draw_view(
         list(corners[order][:, :, :2]),
         cmap=matplotlib.colormaps[colour_map].with_extremes(bad=_BACK),
         norm=norm,
-        edgecolors="face",
-        linewidths=0.3,
+        edgecolors="white" if len(values) <= _OUTLINED else "face",
+        linewidths=0.4,
     )
     faces.set_array(shown)
     faces.set_rasterized(True)
@@ -98,7 +122,7 @@ def _draw_view(
     low, high = seen[:, :2].min(axis=0), seen[:, :2].max(axis=0)
     pad = 0.03 * float(np.max(high - low)) or 1.0
     axes.set_xlim(low[0] - pad, high[0] + pad)
-    axes.set_ylim(low[1] - pad, high[1] + pad)
+    axes.set_ylim(low[1] - 3.0 * pad, high[1] + pad)  # the scale stands below
     axes.set_aspect("equal")
     axes.grid(False)
     axes.set_axis_off()
