@@ -6,6 +6,7 @@ States are kept bit-reversed, as the scrambling wants them.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ _ONE = np.uint64(1)
 _LOW32 = np.uint64(0xFFFFFFFF)
 
 
+@cache
 def reversed_directions() -> NDArray[np.uint64]:
     """Return the direction numbers of `sobol_directions`, bits reversed, (bits, dimensions) uint64."""
     directions = sobol_directions()

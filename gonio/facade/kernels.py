@@ -13,7 +13,19 @@ from typing import Any
 from numba import njit
 
 from gonio.facade import backward as _backward
-from gonio.facade import gray, intersect, lanes, layout, lobe, sampling, skylight, stokes, tracing, vectors
+from gonio.facade import (
+    gray,
+    intersect,
+    lanes,
+    layout,
+    lobe,
+    sampling,
+    skylight,
+    stokes,
+    strip,
+    tracing,
+    vectors,
+)
 from gonio.facade import photons as _photons_module
 from gonio.facade import rows as _rows_module
 
@@ -28,6 +40,7 @@ def _digest() -> int:
         layout,
         sampling,
         gray,
+        strip,
         vectors,
         lanes,
         intersect,
@@ -71,8 +84,10 @@ def _entry_points(digest: int) -> tuple[Any, Any, Any]:
         patches,
         chosen,
         reverse,
+        angles,
         seed,
         replicas,
+        gather,
         window,
         length,
         place,
@@ -84,8 +99,8 @@ def _entry_points(digest: int) -> tuple[Any, Any, Any]:
         if digest < 0:
             return 0
         return _trace_rows(
-            g, light, table, patches, chosen, reverse, seed, replicas, window, length, place, index,
-            count, weight, sums,
+            g, light, table, patches, chosen, reverse, angles, seed, replicas, gather, window, length, place,
+            index, count, weight, sums,
         )  # fmt: skip
 
     return backward, photons, rows

@@ -229,7 +229,8 @@ class PathsRun:
         """Rays traced so far."""
         return sum(p.rays for p in self.parts.values())
 
-    def _contributions(self) -> dict[str, Replicated]:
+    def contributions(self) -> dict[str, Replicated]:
+        """Return the irradiance of the patches by contribution."""
         gathered = self._gathered()
         each = dict(zip(CONTRIBUTIONS, np.moveaxis(gathered, 2, 0), strict=False))
         for name in self.chances:
@@ -244,11 +245,11 @@ class PathsRun:
 
     def _tallied(self, part: _Part) -> FloatArray:
         """Return what photons bring, (patches, replicas), W/m2 of the part of a patch that is not hidden."""
-        area = self._seen_area()[:, None]
+        area = self.seen_area()[:, None]
         brought = part.sums.T / part.done
         return np.asarray(np.divide(brought, area, out=np.zeros_like(brought), where=area > 0.0))
 
-    def _seen_area(self) -> FloatArray:
+    def seen_area(self) -> FloatArray:
         """Return the area of each patch that no other surface covers, (n,), m2."""
         back = self.parts["back"]
         share = back.exposed.reshape(-1, REPLICAS).mean(axis=1) / max(back.done, 1)
@@ -256,12 +257,12 @@ class PathsRun:
 
     def _relative_variances(self) -> list[float]:
         """Return the square of the relative error of the receiver that needs most, by part of the engine."""
-        total = added(self._contributions()).value
+        total = added(self.contributions()).value
         own = [Replicated.mean_of(self._gathered()[:, :, :4].sum(axis=2))]
         own += [Replicated.mean_of(self._tallied(self.parts[name])) for name in self.chances]
         variances = [x.standard_error**2 for x in own]
         worst = [0.0 for _ in own]
-        area = self._seen_area()
+        area = self.seen_area()
         for first, last in self._cells():
             here = (self.patches.receiver >= first) & (self.patches.receiver < last)
             weight = area[here] / max(float(area[here].sum()), 1e-300)
@@ -288,7 +289,7 @@ class PathsRun:
 
     def replicas(self) -> FloatArray:
         """Return the irradiance of every patch that each replica alone gives, (n, REPLICAS), W/m2."""
-        return added(self._contributions()).each
+        return added(self.contributions()).each
 
     @property
     def photons(self) -> int:
@@ -297,7 +298,7 @@ class PathsRun:
 
     def receivers(self) -> tuple[Receiver, ...]:
         """Return values and standard errors of all receivers."""
-        return receivers_of(self.scene, self.patches, self._contributions(), weight=self._seen_area())
+        return receivers_of(self.scene, self.patches, self.contributions(), weight=self.seen_area())
 
     def energy(self) -> EnergyBalance:
         """Return the energy account of all photons, W."""

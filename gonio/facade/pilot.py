@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import fields, replace
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,41 +80,22 @@ def _unseen(outcome: Outcome) -> FloatArray:
 
 def engine(*, seed: int = 0, threads: int | None = None) -> Engine:
     """Return the engine of `gonio.facade.simulate` without its planner."""
-    from gonio.facade.lighting import light_of
-    from gonio.facade.pack import pack
-    from gonio.facade.paths import MAX_RAYS, PathsRun, available_threads
+    import importlib
+
+    from gonio.facade.paths import MAX_RAYS, available_threads
     from gonio.facade.result import Irradiance
 
-    def one(scene: Scene, rel_tol: float) -> Outcome:
-        packed = pack(scene.surfaces, scene.materials, meshes=scene.meshes, periodic=scene.infinite)
-        run = PathsRun(
-            scene, packed, light_of(scene), seed=seed, threads=threads or available_threads(), progress=None,
-            whole=False,
-        )  # fmt: skip
-        started_s = time.monotonic()
-        reached = run.until(rel_tol, MAX_RAYS)
-        irradiance = Irradiance(
-            receivers=run.receivers(), energy=run.energy(), title=scene.title, scene_text=scene.text,
-            seed=seed, rel_tol=rel_tol, relative_error=reached, converged=reached <= rel_tol, rays=run.rays,
-            duration_s=time.monotonic() - started_s, notes=(),
-        )  # fmt: skip
-        return Outcome(irradiance, run.replicas(), run.photons)
+    module: Any = importlib.import_module("gonio.facade.simulate")  # the package gives the function that name
 
     def run(scene: Scene, rel_tol: float, /) -> Outcome:
-        parts = [one(scene.in_band(i), rel_tol) for i in range(max(1, len(scene.bands)))]
-        if len(parts) == 1:
-            return parts[0]
-        first = parts[0].irradiance
-        energy = type(first.energy)(
-            *(sum(getattr(p.irradiance.energy, f.name) for p in parts) for f in fields(first.energy))
-        )
-        whole = replace(
-            first,
-            energy=energy,
-            rays=sum(p.irradiance.rays for p in parts),
-            duration_s=sum(p.irradiance.duration_s for p in parts),
-            relative_error=max(p.irradiance.relative_error for p in parts),
-        )
-        return Outcome(whole, np.sum([p.replicas for p in parts], axis=0), min(p.photons for p in parts))
+        one = module.engine_of(scene, "auto", seed=seed, threads=threads or available_threads())
+        started_s = time.monotonic()
+        reached = one.until(rel_tol, MAX_RAYS)
+        irradiance = Irradiance(
+            receivers=one.receivers(), energy=one.energy(), title=scene.title, scene_text=scene.text,
+            seed=seed, rel_tol=rel_tol, relative_error=reached, converged=reached <= rel_tol, rays=one.rays,
+            duration_s=time.monotonic() - started_s, notes=(),
+        )  # fmt: skip
+        return Outcome(irradiance, one.replicas(), one.photons)
 
     return run

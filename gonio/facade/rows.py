@@ -13,15 +13,20 @@ from typing import Any
 from gonio.facade.gray import coordinate, first_state, next_state, scramblings
 from gonio.facade.intersect import nearest, occluded
 from gonio.facade.layout import CONSTANT, N2, RHO_D, RHO_S
-from gonio.facade.sampling import compiled, cosine_direction, key_of, sun_direction
+from gonio.facade.sampling import compiled, key_of, sun_direction
 from gonio.facade.skylight import sky_radiance
+from gonio.facade.strip import strip_direction
 from gonio.facade.tracing import facing, fresnel_mean, patch_at, point_of
-from gonio.facade.vectors import dot, negative, row
+from gonio.facade.vectors import along as along_ray
+from gonio.facade.vectors import cross, dot, negative, row
 
 EXPOSED, SUN, SKYLIGHT, FROM_SKY, FROM_BLACK, FIRST_BAND = 0, 1, 2, 3, 4, 5
-"""Columns of `sums`: points that are not hidden; irradiance of sun and sky, W/m2 summed over points; rays that
-met the sky and rays that met something black.  From `FIRST_BAND` on, for each band: k_d times sun, k_d times
-sky, in the same units."""
+"""Columns of `sums`: points that are not hidden; irradiance of sun and sky, W/m2 summed over points; rays
+that met the sky, and something black.  From `FIRST_BAND` on, `PER_BAND` for each band, in the same units: k_d
+times sun, k_d times sky; sunlight that rays see on what they meet, reflected once, and k_d times that."""
+
+PER_BAND = 4
+OWN_SUN, OWN_SKY, SEEN, OWN_SEEN = 0, 1, 2, 3
 
 
 @compiled
@@ -44,8 +49,10 @@ def trace_rows(
     patches: Any,
     chosen: Any,
     reverse: Any,
+    angles: Any,
     seed: Any,
     replicas: int,
+    gather: bool,
     window: Any,
     length: Any,
     place: Any,
@@ -64,6 +71,11 @@ def trace_rows(
         (c,) patches; ``unit = c * replicas + replica``.
     reverse
         From `gray.reversed_directions`.
+    angles
+        From `strip.angle_table`.
+    gather
+        Whether to look for the sun where a ray meets a patch, instead of leaving its light to the averages of
+        patches: shadows are then as sharp as they are.
     length
         (units,) int64, out: number of different patches met.
     place
@@ -75,7 +87,7 @@ def trace_rows(
         (units, width, bands) float64, out: sums over these rays of k_d of the emitting patch at the ray's
         angle, which is what it reflects diffusely of light that arrives along the ray.
     sums
-        (units, 5 + 2 bands) float64, added to; columns above.
+        (units, FIRST_BAND + PER_BAND bands) float64, added to; columns above.
 
     Returns
     -------
@@ -91,6 +103,10 @@ def trace_rows(
         n = row(g.normal, k)
         if patches.back[i] == 1:
             n = negative(n)
+        along = row(g.u, k)
+        scale = 1.0 / math.sqrt(dot(along, along))
+        along = along[0] * scale, along[1] * scale, along[2] * scale
+        across = cross(n, along)
         key = key_of(seed, i, unit % replicas)
         scramble = scramblings(key)
         bits = first_state(reverse, window[2])
@@ -98,14 +114,14 @@ def trace_rows(
         for at in range(window[2], window[3]):
             if at > window[2]:
                 bits = next_state(reverse, bits, at)
-            # the two coordinates that fill the plane best are for the direction
-            a, b = coordinate(bits[3], scramble[3]), coordinate(bits[2], scramble[2])
+            # the first two coordinates fill the plane best: the place up the wall, and the direction across
+            a, b = coordinate(bits[3], scramble[3]), coordinate(bits[0], scramble[0])
             p, covered = point_of(g, patches, i, a, b)
             if covered:
                 continue
             sums[unit, EXPOSED] += 1.0
+            s = sun_direction(light, coordinate(bits[4], scramble[4]), coordinate(bits[5], scramble[5]))
             if light.dni > 0.0:
-                s = sun_direction(light, coordinate(bits[4], scramble[4]), coordinate(bits[5], scramble[5]))
                 cosine = dot(n, s)
                 if cosine > 0.0 and s[2] > 0.0:
                     rays += 1
@@ -113,10 +129,11 @@ def trace_rows(
                         sums[unit, SUN] += light.dni * cosine
                         for band in range(bands):
                             k_d = diffuse_part(table, band, material, cosine, light.conserving)
-                            sums[unit, FIRST_BAND + 2 * band] += light.dni * cosine * k_d
-            d = cosine_direction(n, coordinate(bits[0], scramble[0]), coordinate(bits[1], scramble[1]))
+                            sums[unit, FIRST_BAND + PER_BAND * band + OWN_SUN] += light.dni * cosine * k_d
+            a, b = coordinate(bits[1], scramble[1]), coordinate(bits[2], scramble[2])
+            d = strip_direction(angles, n, along, across, a, b)
             rays += 1
-            hit, _, a, b = nearest(g, p, d, k)
+            hit, t, a, b = nearest(g, p, d, k)
             if hit < 0:
                 radiance = sky_radiance(light, d)
                 if d[2] > 0.0:
@@ -128,9 +145,9 @@ def trace_rows(
                     cosine = dot(n, d)
                     for band in range(bands):
                         k_d = diffuse_part(table, band, material, cosine, light.conserving)
-                        sums[unit, FIRST_BAND + 2 * band + 1] += math.pi * radiance * k_d
+                        sums[unit, FIRST_BAND + PER_BAND * band + OWN_SKY] += math.pi * radiance * k_d
                 continue
-            _, back = facing(g, hit, d)
+            m, back = facing(g, hit, d)
             other = patch_at(g, hit, back, a, b) if back >= 0 else -1
             if other < 0:
                 sums[unit, FROM_BLACK] += 1.0
@@ -144,6 +161,18 @@ def trace_rows(
                 weight[unit, slot, :] = 0.0
                 met += 1
             count[unit, slot] += 1.0
+            seen = 0.0
+            cosine = dot(m, s)
+            if gather and light.dni > 0.0 and cosine > 0.0 and s[2] > 0.0:
+                rays += 1
+                if not occluded(g, along_ray(p, t, d), s, hit):
+                    seen = light.dni * cosine
+            if seen > 0.0:
+                for band in range(bands):
+                    own = diffuse_part(table, band, material, dot(n, d), light.conserving)
+                    lit = seen * diffuse_part(table, band, g.optics[hit], cosine, light.conserving)
+                    sums[unit, FIRST_BAND + PER_BAND * band + SEEN] += lit
+                    sums[unit, FIRST_BAND + PER_BAND * band + OWN_SEEN] += lit * own
             cosine = dot(n, d)
             for band in range(bands):
                 weight[unit, slot, band] += diffuse_part(table, band, material, cosine, light.conserving)

@@ -5,6 +5,7 @@ An interrupted run (Ctrl-C) gives what it has, with the state from which `simula
 
 from __future__ import annotations
 
+import math
 import time
 import warnings
 from collections.abc import Callable
@@ -13,16 +14,18 @@ from typing import Literal, get_args
 import numpy as np
 
 from gonio.errors import ConfigError
-from gonio.facade.lighting import light_notes, light_of
+from gonio.facade.banded import BandedPaths
+from gonio.facade.decided import decide
+from gonio.facade.lighting import light_notes
 from gonio.facade.optics import EnergyWarning, excess_text
-from gonio.facade.pack import pack
-from gonio.facade.paths import MAX_RAYS, PathsRun, Progress, available_threads
+from gonio.facade.paths import MAX_RAYS, Progress, available_threads
 from gonio.facade.provenance import now_utc, versions
 from gonio.facade.result import Irradiance
+from gonio.facade.rows_run import RowsRun, suits
 from gonio.facade.scene import Scene
 from gonio.facade.state_file import State
 
-Estimator = Literal["auto", "split", "paths", "backward"]
+Estimator = Literal["auto", "rows", "paths", "backward"]
 Checkpoint = Callable[[Callable[[], Irradiance]], None]
 """Called after every batch with a function that returns the result so far."""
 
@@ -60,10 +63,12 @@ def simulate(
         Called with the fraction done and a text; the first call of a program compiles the kernels (about ten
         seconds, kept on disk) and says so.
     estimator
-        ``"paths"``, or ``"backward"`` for everything by backward paths: an independent check for broad lobes,
-        slow and with heavy tails for narrow ones.
+        ``"rows"``: diffuse light by the exchange between patches, lobes by photons; ``"paths"``: paths and
+        photons one by one, for scenes of many surfaces; ``"auto"`` chooses between them.  ``"backward"``:
+        everything by backward paths, an independent check for broad lobes, slow and with heavy tails for
+        narrow ones.
     full
-        Leave nothing out.  The estimators here never do.
+        Leave nothing out; otherwise the planner leaves out what the tolerance allows, and says it.
     max_rays
         Stop here at the latest; the result then says that it has not converged.
     state
@@ -92,24 +97,20 @@ def simulate(
         raise ConfigError(f"estimator = '{estimator}' is not known; choose among {names}")
     notes = [*scene.notes, *light_notes(scene), *_excesses(scene)]
     started_s = time.monotonic()
-    packed = pack(scene.surfaces, scene.materials, meshes=scene.meshes, periodic=scene.infinite)
-    run = PathsRun(
-        scene,
-        packed,
-        light_of(scene),
-        seed=seed,
-        threads=threads or available_threads(),
-        progress=progress,
-        whole=estimator == "backward",
+    threads = threads or available_threads()
+    decided = decide(
+        scene, rel_tol, seed=seed, threads=threads, planned=estimator != "backward", full=full, state=state
     )
+    notes += decided.notes
+    run = engine_of(decided.scene, estimator, seed=seed, threads=threads, progress=progress)
     spent_s = 0.0
     if state is not None:
         run.restore(state)
         spent_s = float(state["spent_s"])
+    omitted = decided.relative
 
-    def result(*, interrupted: bool) -> Irradiance:
+    def result(reached: float, *, interrupted: bool) -> Irradiance:
         duration_s = spent_s + time.monotonic() - started_s
-        reached = run.relative_error()
         return Irradiance(
             receivers=run.receivers(),
             energy=run.energy(),
@@ -117,31 +118,44 @@ def simulate(
             scene_text=scene.text,
             seed=seed,
             rel_tol=rel_tol,
-            relative_error=reached,
+            relative_error=run.relative_error(),
             converged=reached <= rel_tol,
-            rays=run.rays,
+            rays=run.rays + decided.rays,
             duration_s=duration_s,
             notes=(*notes, *_afterthoughts(run, reached, rel_tol, interrupted=interrupted)),
-            method="backward" if run.whole else "paths",
+            omissions=decided.omissions,
+            method=run.method,
+            levels=decided.levels,
+            bands=run.bands(),
+            exchange=run.exchange(),
             interrupted=interrupted,
-            state={**run.state(), "spent_s": np.array(duration_s)},
+            state={**run.state(), **decided.state(), "spent_s": np.array(duration_s)},
             floor_w_m2=run.floor_w_m2,
             versions=versions(),
-            options={"estimator": "backward" if run.whole else "paths", "full": str(full)},
+            options={"estimator": estimator, "full": str(full)},
             date=now_utc(),
         )
 
     def between() -> None:
         if checkpoint is not None and run.begun:
-            checkpoint(lambda: result(interrupted=True))
+            checkpoint(lambda: result(math.inf, interrupted=True))
 
     try:
-        run.until(rel_tol, max_rays, between)
+        reached = run.until(rel_tol, max_rays, between, omitted)
     except KeyboardInterrupt:
         if not run.begun:
             raise
-        return result(interrupted=True)
-    return result(interrupted=False)
+        return result(math.inf, interrupted=True)
+    return result(reached, interrupted=False)
+
+
+def engine_of(
+    scene: Scene, estimator: Estimator, *, seed: int, threads: int, progress: Progress | None = None
+) -> RowsRun | BandedPaths:
+    """Return the engine of an estimator, for the scene as it is; "auto": rows where few patches suffice."""
+    if estimator == "rows" or (estimator == "auto" and suits(scene)):
+        return RowsRun(scene, seed=seed, threads=threads, progress=progress)
+    return BandedPaths(scene, seed=seed, threads=threads, progress=progress, whole=estimator == "backward")
 
 
 def _excesses(scene: Scene) -> list[str]:
@@ -157,7 +171,9 @@ def _excesses(scene: Scene) -> list[str]:
     return found
 
 
-def _afterthoughts(run: PathsRun, reached: float, rel_tol: float, *, interrupted: bool) -> list[str]:
+def _afterthoughts(
+    run: RowsRun | BandedPaths, reached: float, rel_tol: float, *, interrupted: bool
+) -> list[str]:
     notes: list[str] = []
     if reached > rel_tol and not interrupted:
         notes.append(

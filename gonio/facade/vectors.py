@@ -14,6 +14,12 @@ def dot(a: Any, b: Any) -> float:
 
 
 @compiled
+def cross(a: Any, b: Any) -> Any:
+    """Return the vector product of two vectors."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@compiled
 def along(p: Any, t: float, d: Any) -> Any:
     """Return ``p + t d``."""
     return p[0] + t * d[0], p[1] + t * d[1], p[2] + t * d[2]

@@ -93,7 +93,9 @@ def retained(alpha: float, theta_i_deg: float) -> float:
 @pytest.mark.parametrize("horizon", ["absorb", "renormalize"])
 def test_the_lobe_returns_k_s_above_the_horizon(alpha: float, theta_i_deg: float, horizon: str) -> None:
     optics = Optics(0.0, 1.0, alpha, 1.5)
-    energy = simulate(one_wall(optics, theta_i_deg, horizon=horizon), rel_tol=0.01, seed=2).energy
+    energy = simulate(
+        one_wall(optics, theta_i_deg, horizon=horizon), rel_tol=0.01, seed=2, full=True, estimator="paths"
+    ).energy
     power = 500.0 * 6.0 * math.cos(math.radians(theta_i_deg))
     assert energy.emitted_w == pytest.approx(power, rel=1e-9)
     k_s = reflectance(1.5, theta_i_deg)
@@ -107,7 +109,7 @@ def test_energy_is_conserved_to_rounding_with_everything_glossy(canyon: Callable
     scene = canyon(
         wall=Optics(0.72, 1.0, 30.0, 1.5), ground=Optics(0.3, 2.0, 5.0, 1.33), dni=700.0, dhi=90.0, rows=3
     )
-    result = simulate(scene, rel_tol=0.01, seed=5)
+    result = simulate(scene, rel_tol=0.01, seed=5, full=True, estimator="paths")
     assert result.energy.created_w == 0.0
     assert result.energy.unfinished_w == 0.0
     assert abs(result.energy.residual) < 1e-12
@@ -121,7 +123,9 @@ def test_diffuse_part_takes_what_the_lobe_leaves(theta_i_deg: float) -> None:
     optics = Optics(0.72, 1.0, 1e8, 1.5)  # narrow enough to stay above the horizon at 89.9 deg
     k_s = reflectance(1.5, theta_i_deg)
     power = 500.0 * 6.0 * math.cos(math.radians(theta_i_deg))
-    energy = simulate(one_wall(optics, theta_i_deg), rel_tol=0.01, seed=1).energy
+    energy = simulate(
+        one_wall(optics, theta_i_deg), rel_tol=0.01, seed=1, full=True, estimator="paths"
+    ).energy
     assert energy.escaped_w / power == pytest.approx(k_s + min(0.72, 1.0 - k_s), rel=0.02)
     assert energy.escaped_w <= power * (1 + 1e-12)
     assert energy.created_w == 0.0
@@ -130,14 +134,19 @@ def test_diffuse_part_takes_what_the_lobe_leaves(theta_i_deg: float) -> None:
 def test_published_energy_warns_with_angle_and_excess() -> None:
     scene = one_wall(Optics(0.72, 1.0, 1e6, 1.5), 85.0, energy="published")
     with pytest.warns(EnergyWarning, match=r"exceeds 1 from 76\.\d deg incidence, by up to 0\.7"):
-        result = simulate(scene, rel_tol=0.01)
+        result = simulate(scene, rel_tol=0.01, full=True, estimator="paths")
     excess = 0.72 + reflectance(1.5, 85.0) - 1.0
     assert result.energy.created_w / result.energy.emitted_w == pytest.approx(excess, rel=1e-6)
     assert abs(result.energy.residual) < 1e-12
     assert any("76." in note for note in result.notes)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        simulate(one_wall(Optics(0.5, 0.2, 50.0, 1.5), 60.0, energy="published"), rel_tol=0.01)
+        simulate(
+            one_wall(Optics(0.5, 0.2, 50.0, 1.5), 60.0, energy="published"),
+            rel_tol=0.01,
+            full=True,
+            estimator="paths",
+        )
 
 
 @pytest.mark.parametrize("sky_only", [False, True])
@@ -146,7 +155,7 @@ def test_photons_and_backward_paths_agree_for_a_broad_lobe(
 ) -> None:  # type: ignore[no-untyped-def]
     light = {"dni": 0.0, "dhi": 100.0} if sky_only else {"dni": 800.0, "dhi": 0.0}
     scene = canyon(wall=Optics(0.5, 4.0, 50.0, 1.5), ground=Optics(0.2), rows=4, **light)
-    forward = simulate(scene, rel_tol=0.004, seed=1)
+    forward = simulate(scene, rel_tol=0.004, seed=1, full=True, estimator="paths")
     backward = simulate(scene, rel_tol=0.012, seed=2, estimator="backward", max_rays=60_000_000)
     assert forward.energy.emitted_w > 0.0
     assert backward.energy.emitted_w == 0.0
@@ -161,13 +170,15 @@ def test_photons_and_backward_paths_agree_for_a_broad_lobe(
 
 
 def test_matte_scenes_need_no_photons(canyon: Callable[..., Scene]) -> None:
-    result = simulate(canyon(dni=800.0, dhi=100.0), rel_tol=0.05)
+    result = simulate(canyon(dni=800.0, dhi=100.0), rel_tol=0.05, full=True, estimator="paths")
     assert result.energy.emitted_w == 0.0
     assert not np.any(result["left"].contributions["specular"].value)
 
 
 def test_a_lobe_of_alpha_0_and_index_1_reflects_nothing(canyon: Callable[..., Scene]) -> None:
-    glossy = simulate(canyon(wall=Optics(0.5, 3.0, 0.0, 1.0), dni=1.0), rel_tol=0.02)
+    glossy = simulate(
+        canyon(wall=Optics(0.5, 3.0, 0.0, 1.0), dni=1.0), rel_tol=0.02, full=True, estimator="paths"
+    )
     assert not np.any(glossy["left"].contributions["specular"].value)
 
 

@@ -78,7 +78,7 @@ def test_file_is_nexus_with_units(result: Irradiance, tmp_path: Path) -> None:
                     assert "irradiance" in item.attrs["quantity"]
 
         file.visititems(declares)
-        assert seen <= {"W/m2", "W", "m", "s", "1", "any"}
+        assert seen <= {"W/m2", "W", "m", "s", "1", "%", "any"}
         assert file["entry/process/scene"].asstr()[()] == "# scene"
 
 

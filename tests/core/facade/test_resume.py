@@ -76,9 +76,9 @@ def test_a_stopped_run_goes_on_to_the_same_bits(
 
 
 def test_a_finished_result_is_tightened_to_the_same_bits(scene: Scene) -> None:
-    coarse = simulate(scene, rel_tol=0.05, seed=7)
-    fine = simulate(scene, rel_tol=0.01, seed=7)
-    again = simulate(scene, rel_tol=0.01, seed=7, state=coarse.state)
+    coarse = simulate(scene, rel_tol=0.05, seed=7, full=True, estimator="paths")
+    fine = simulate(scene, rel_tol=0.01, seed=7, full=True, estimator="paths")
+    again = simulate(scene, rel_tol=0.01, seed=7, full=True, estimator="paths", state=coarse.state)
     assert coarse.rays < fine.rays
     assert same_bits(fine, again)
 
@@ -118,13 +118,14 @@ def test_checkpoints_are_whole_results_to_go_on_with(
         return replace(irradiance, options={**irradiance.options, "mine": "kept"})
 
     checkpoints = Checkpoints(path, prepare, every_s=0.0, most_share=1.0)
-    through = simulate(scene, rel_tol=0.02, seed=3, checkpoint=checkpoints)
+    through = simulate(scene, rel_tol=0.02, seed=3, estimator="paths", checkpoint=checkpoints)
     assert checkpoints.written == len(kept) + 1 > 3
     assert list(tmp_path.iterdir()) == [path]
     for so_far in (kept[0], kept[-1]):
         assert so_far.interrupted
         assert so_far.options["mine"] == "kept"
-        assert same_bits(simulate(scene, rel_tol=0.02, seed=3, state=so_far.state), through)
+        again = simulate(scene, rel_tol=0.02, seed=3, estimator="paths", state=so_far.state)
+        assert same_bits(again, through)
 
 
 def test_checkpoints_wait(scene: Scene, tmp_path: Path) -> None:
