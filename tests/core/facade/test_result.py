@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 import pytest
 
-from gonio.errors import ConfigError, SceneError, StoreError
+from gonio.errors import ConfigError, StoreError
 from gonio.facade import (
     CONTRIBUTIONS,
     BandIrradiance,
@@ -178,8 +178,19 @@ def test_results_of_older_versions_still_load(result: Irradiance, tmp_path: Path
     result.save(path)
     with h5py.File(path, "r+") as file:
         process = file["entry/process"]
-        for name in ("method", "interrupted", "state", "versions", "options", "levels", "date", "floor_w_m2"):
-            del process[name]
+        for name in (
+            "method",
+            "interrupted",
+            "state",
+            "versions",
+            "options",
+            "levels",
+            "date",
+            "floor_w_m2",
+            "omissions",
+        ):
+            if name in process:
+                del process[name]
         del process["energy/handed_w"]
         for name in ("left", "right", "ground"):
             del file[f"entry/receiver_{name}/discretisation"]
@@ -326,8 +337,3 @@ def test_options_out_of_range_are_refused(
 ) -> None:
     with pytest.raises(ConfigError, match=message):
         simulate(canyon(dhi=1.0), **options)  # type: ignore[arg-type]
-
-
-def test_backward_paths_do_not_renormalize(canyon: Callable[..., Scene]) -> None:
-    with pytest.raises(SceneError, match="cannot renormalize"):
-        simulate(canyon(dhi=1.0, horizon="renormalize"), estimator="backward")
