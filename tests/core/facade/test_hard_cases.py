@@ -17,7 +17,7 @@ from gonio.fresnel import reflectance
 BLACK = Optics(0.0)
 NOON = Sun(180.0, 45.0, 0.0)
 
-both = pytest.mark.parametrize("estimator", ["paths"])
+both = pytest.mark.parametrize("estimator", ["rows", "paths"])
 
 
 def run(scene: Scene, estimator: str, rel_tol: float = 0.01, seed: int = 1) -> Irradiance:
