@@ -29,7 +29,7 @@ from gonio.facade.sampling import compiled
 
 _EDGE = 1e-9
 _TIE = 2e-9  # of the scene's radius: how far apart coplanar primitives may lie, so rank decides
-_NOISE = 4e-15  # of the scene's radius: a ray that starts no further from a plane starts in it
+_NOISE = 1e-10  # of the scene's radius: a ray that starts no further from a plane starts in it
 _PARALLEL = 1e-12  # sine of the angle to a plane below which a ray does not meet it
 _SINGLE_REACH = 32.0 * 2.0**-24
 _ONE = np.int64(1)

@@ -195,8 +195,8 @@ def candidates(
 ) -> Any:
     """Return the mask of the primitives of a leaf that the ray may meet for 0 < t <= limit.
 
-    Writes for each the largest t at which it can be met, or NaN.  `reach` is 32 u times the largest coordinate
-    that origin and scene have, m.
+    Writes for each the largest t at which it can be met, or NaN.  `reach` is 32 u times the largest
+    coordinate that origin and scene have, m.
     """
 
     def build(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
