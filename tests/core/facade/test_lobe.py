@@ -12,7 +12,9 @@ import pytest
 from scipy import integrate
 
 from gonio import fresnel
-from gonio.facade import EnergyWarning, Optics, Scene, Sun, Surface, simulate, street
+from gonio.brdf.lobe import lobe_above_horizon
+from gonio.facade import EnergyWarning, Optics, Scene, Sun, Surface, lobe, simulate, street
+from gonio.facade.pack import pack
 
 BLACK = Optics(0.0)
 
@@ -188,3 +190,70 @@ def test_glossy_wall_to_receiver_is_not_noisier_for_a_narrow_lobe(alpha: float) 
     result = simulate(scene, rel_tol=0.02, seed=1, max_rays=30_000_000)
     assert result.converged
     assert float(result["left"].mean_contributions["specular"].value) > 0.5
+
+
+ALPHAS = [0.0, 1.0, 80.0, 1e4, 1e8]
+
+
+@pytest.mark.parametrize("alpha", ALPHAS)
+def test_part_above_the_horizon_in_the_kernels_is_that_of_the_fit(alpha: float) -> None:
+    for theta_deg in (0.0, 5.0, 55.0, 75.0, 85.0, 89.9, 89.9999, 90.0):
+        cosine = 0.0 if theta_deg == 90.0 else math.cos(math.radians(theta_deg))
+        expected = float(lobe_above_horizon(alpha, theta_deg))
+        assert lobe.above_horizon(alpha, cosine) == pytest.approx(expected, rel=1e-11)
+
+
+@pytest.mark.parametrize("alpha", ALPHAS)
+@pytest.mark.parametrize("theta_i_deg", [20.0, 80.0, 89.99])
+def test_a_renormalised_lobe_is_the_lobe_cut_by_the_horizon(alpha: float, theta_i_deg: float) -> None:
+    # sin^2 of a lobe direction is distributed as 1 - (1 - sin^2)^((alpha+1)/2): with t = that value, t is
+    # uniform for the whole lobe; cut, its density is the part of the circle about m that is above.
+    packed = pack(
+        (Surface("plate", (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), "m"),),
+        {"m": Optics(0.0, 1.0, alpha, 1.5)},
+    )
+    t_i = math.radians(theta_i_deg)
+    incoming = (math.sin(t_i), 0.0, -math.cos(t_i))
+    mirror = (incoming[0], 0.0, -incoming[2])
+    normal = (0.0, 0.0, 1.0)
+    n = 4096
+    random = np.random.default_rng(5)
+    first = (np.arange(n) + random.random(n)) / n
+    second = (np.arange(n) * 0.6180339887498949 + random.random()) % 1.0
+    count, ranks = 0, []
+    for i in range(n):
+        u, w = float(first[i]), float(second[i])
+        _, _, above = lobe.off_the_lobe(packed.geometry, 0, normal, incoming, u, w, False, np.uint64(i))
+        count += above
+        d, m, above = lobe.off_the_lobe(packed.geometry, 0, normal, incoming, u, w, True, np.uint64(i))
+        assert above
+        assert m == pytest.approx(mirror, abs=1e-15)
+        sine2 = float(np.sum(np.square(np.cross(d, m))))
+        ranks.append(-math.expm1(0.5 * (alpha + 1.0) * math.log1p(-min(sine2, 1.0 - 1e-16))))
+    part = float(lobe_above_horizon(alpha, theta_i_deg))
+    assert count / n == pytest.approx(part, abs=0.006)
+    # mean of t over the cut lobe by the midpoint rule
+    t = (np.arange(20_000) + 0.5) / 20_000
+    tan = np.sqrt(np.expm1(-2.0 * np.log1p(-t) / (alpha + 1.0)))
+    circle = 1.0 - np.arccos(np.clip(1.0 / np.maximum(tan * math.tan(t_i), 1.0), 0.0, 1.0)) / math.pi
+    assert np.mean(circle) == pytest.approx(part, abs=2e-3)
+    expected = float(np.sum(t * circle) / np.sum(circle))
+    assert np.mean(ranks) == pytest.approx(expected, abs=0.015)
+
+
+@pytest.mark.parametrize("alpha", [0.0, 1.0, 10.0, 100.0])
+@pytest.mark.parametrize("horizon", ["absorb", "renormalize"])
+def test_forward_and_reverse_agree(canyon: Callable[..., Scene], alpha: float, horizon: str) -> None:
+    scene = canyon(
+        wall=Optics(0.4, 1.0, alpha, 1.5), ground=Optics(0.2, 0.5, 20.0, 1.4), rows=2, dni=800.0, dhi=100.0,
+        height=0.7, horizon=horizon,
+    )  # fmt: skip
+    forward = simulate(scene, rel_tol=0.003, seed=1, estimator="paths", max_rays=2_000_000)
+    reverse = simulate(scene, rel_tol=0.003, seed=2, estimator="backward", max_rays=2_000_000)
+    z = []
+    for name in ("left", "right", "ground"):
+        a, b = forward[name].contributions["specular"], reverse[name].contributions["specular"]
+        z.append((a.value - b.value) / np.hypot(a.standard_error, b.standard_error))
+        assert np.all(a.standard_error < 0.05 * a.value)
+    assert np.max(np.abs(z)) < 3.8
+    assert np.sqrt(np.mean(np.square(z))) < 1.9
