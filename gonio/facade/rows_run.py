@@ -274,15 +274,30 @@ class RowsRun:
         worst = _Errors(np.zeros(len(variances)), 0.0, 0.0)
         for name, cells in self._cells().items():
             weights = cells / max(float(cells.sum()), 1e-300)
-            mean = max(float(weights @ total), self.floor_w_m2)
+            found = float(weights @ total)
+            mean = max(found, self.floor_w_m2)
             if mean <= 0.0:
                 continue
             own = (variances @ weights) / mean**2
+            if found < mean:
+                own = own + self._unseen(cells > 0.0)
             change = self._change(cells) / mean
             sure = math.hypot(math.sqrt(float(own.sum())), change + omitted.get(name, 0.0))
             if sure >= worst.total:
                 worst = _Errors(own, max(change, worst.discretisation), sure)
         return worst
+
+    def _unseen(self, patches: NDArray[np.bool_]) -> FloatArray:
+        """Return the square of what a dark receiver may have missed over its floor, (parts,).
+
+        Of light that one ray in N would meet, N rays may all miss: their scatter says nothing about it.
+        """
+        missed = np.zeros(len(self.engine.parts))
+        for number, part in enumerate(self.engine.parts):
+            if isinstance(part, Rows):
+                rays = part.points * REPLICAS * int(np.count_nonzero(patches[part.chosen]))
+                missed[number] = (DARK * rays) ** -2.0 if rays else 0.0
+        return missed
 
     def _of(self, number: int) -> FloatArray:
         """Return the variance of the mean of the patches' cells due to one part, (n,), W2/m4."""

@@ -87,7 +87,7 @@ def test_the_rows_along_a_corner() -> None:
     assert np.max(np.abs(value[:, 0] - expected) / error[:, 0]) < 4.0
 
 
-@pytest.mark.parametrize("tilt_deg", [0.0, 20.0, 63.0, 90.0, 120.0, 175.0])
+@pytest.mark.parametrize("tilt_deg", [0.0, 20.0, 63.0, 90.0, 120.0, 175.0, 178.0])
 def test_a_tilted_plane_sees_half_of_one_plus_cosine(tilt_deg: float) -> None:
     t = math.radians(tilt_deg)
     u, v = (1.0, 0.0, 0.0), (0.0, math.cos(t), -math.sin(t))
