@@ -52,6 +52,13 @@ def choose(scene: Scene, fineness: Mapping[str, int]) -> dict[str, tuple[int, in
     return found
 
 
+def count(scene: Scene, fineness: Mapping[str, int]) -> int:
+    """Return the number of patches of all reflecting sides."""
+    grids = choose(scene, fineness)
+    flat = sum(s.sides * math.prod(grids[s.name]) for s in scene.surfaces)
+    return flat + sum(m.sides * len(m.faces) * math.prod(grids[m.name]) for m in scene.meshes)
+
+
 def _divided(cells: int, length: float, edge: float) -> int:
     """Return a multiple of `cells` that makes pieces of about `edge`; even, so that they merge in pairs."""
     each = max(1, round(length / cells / edge))

@@ -18,10 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio.facade import layout
+from gonio.facade import grids, layout
 from gonio.facade.collect import Replicated, added, receivers_of
 from gonio.facade.engine import ENERGIES, Engine, Part, Photons
-from gonio.facade.grids import choose
 from gonio.facade.layout import FloatArray, IntArray
 from gonio.facade.paths import DARK, Progress
 from gonio.facade.result import BandIrradiance, EnergyBalance, ExchangeBalance, Receiver
@@ -33,8 +32,10 @@ from gonio.facade.transport import REPLICAS, Rows
 MOST_PATCHES = 20_000
 """Scenes that need more are for the estimator "paths"."""
 
-_REFINED = 5_000  # no division goes beyond so many patches
+_REFINED = 12_000  # no division goes beyond so many patches
 _SHARE = 0.5  # of the tolerance that remains, for what patches of finite size leave out
+_CLEAR = 0.3  # of the tolerance: statistical error at which a change by merging is no noise
+_DOUBLINGS = 6
 _LEAP = 8  # largest growth of a part in one round
 
 
@@ -107,9 +108,9 @@ class RowsRun:
                 statistical = float(np.sum(errors.variances))
                 wanted = rel_tol**2 - (errors.total**2 - statistical)
                 if wanted <= 0.0:  # rays alone cannot help, but they may show where finer patches would
-                    wanted = (0.1 * rel_tol) ** 2
-                    if statistical <= wanted:
+                    if statistical <= (_CLEAR * rel_tol) ** 2:
                         return errors.total
+                    wanted = 0.3 * statistical
                 for part, points in self._more(errors.variances, wanted):
                     self._add(part, points, pool)
                 between()
@@ -168,7 +169,7 @@ class RowsRun:
             weights = area / max(float(area.sum()), 1e-300)
             mean = max(float(weights @ total), self.floor_w_m2)
             whole = self._change(area)
-            if whole <= max(budget * mean, 2.0 * self._change_noise(area)):
+            if whole <= max(budget * mean, 1.5 * self._change_noise(area)):
                 continue
             own = np.sqrt(np.maximum(weights @ (change**2 - noise), 0.0))
             if not np.any(own > 0.0):
@@ -180,10 +181,14 @@ class RowsRun:
                 divided[names[k]] = max(factor, divided.get(names[k], 1))
         if not divided:
             return None
-        finer = self._engine(
-            e.seed, e.threads, {name: fineness[name] * divided.get(name, 1) for name in names}
-        )
-        return finer if e.size < finer.size <= _REFINED else None
+        for _ in range(_DOUBLINGS):  # cells of a receiver may be smaller than the usual patch
+            fineness = {name: k * divided.get(name, 1) for name, k in fineness.items()}
+            if grids.count(self.scene, fineness) > _REFINED:
+                return None
+            finer = self._engine(e.seed, e.threads, fineness)
+            if finer.size > e.size:
+                return finer
+        return None
 
     def _add(self, part: Part, points: int, pool: ThreadPoolExecutor) -> None:
         self.engine.add(part, points, pool)
@@ -414,7 +419,4 @@ class RowsRun:
 
 def suits(scene: Scene) -> bool:
     """Say whether the exchange of a scene needs no more patches than this estimator takes."""
-    grids = choose(scene, {})
-    count = sum(s.sides * math.prod(grids[s.name]) for s in scene.surfaces)
-    count += sum(m.sides * len(m.faces) * math.prod(grids[m.name]) for m in scene.meshes)
-    return count <= MOST_PATCHES
+    return grids.count(scene, {}) <= MOST_PATCHES
