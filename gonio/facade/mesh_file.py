@@ -64,6 +64,13 @@ def read_parts(path: Path) -> tuple[list[Part], str | None]:
         faces = np.array(body.faces, np.int64)
         if np.linalg.det(transform[:3, :3]) < 0.0:
             faces = faces[:, ::-1]  # a mirror image
+        if np.shape(body.vertices)[1:] != (3,):
+            raise SceneError(f"{path}: vertices of '{key}' lack coordinates; the file is damaged")
+        if faces.min() < 0 or faces.max() >= len(body.vertices):
+            raise SceneError(
+                f"{path}: a face of '{key}' asks for vertex {faces.max()}, of {len(body.vertices)}; "
+                "the file is damaged"
+            )
         own = getattr(getattr(body.visual, "material", None), "name", None)
         called = names.get(str(key), (str(key), str(node)))
         with np.errstate(invalid="ignore"):  # what is not finite is refused by name later

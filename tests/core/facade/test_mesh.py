@@ -196,6 +196,10 @@ def test_faces_that_cannot_be_traced_are_refused(
         ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "cannot be read as a mesh"),
         ("a.obj", "v 0 0 0\nf one two three\n", "cannot be read as a mesh"),
         ("a.ply", "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
+         "property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+         "0 0 0\n3 0 0 7\n",
+         "a face of '.*' asks for vertex 7, of 1; the file is damaged"),
+        ("a.ply", "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
          "property float z\nend_header\n0 0 0\n", "holds no faces"),
     ],
 )  # fmt: skip
