@@ -182,7 +182,8 @@ class _View:
             normal = self.engine.packed.geometry.normal[patches.primitive[r.chosen]]
             normal = np.where(patches.back[r.chosen, None] > 0, -normal, normal)
             whole = light.dni * np.maximum(normal @ light.sun, 0.0) * points
-            share = total / np.maximum(whole, 1e-300)
+            # a patch that the middle of the disc does not light has only a part of the sun at best
+            share = np.where(whole > 0.0, total / np.where(whole > 0.0, whole, 1.0), 0.5 * (total > 0.0))
             seen = share * points
         partly = (share > 0.0) & (share < 1.0 - 1e-6)
         ray = total / np.maximum(seen, 1.0)

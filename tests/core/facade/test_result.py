@@ -180,17 +180,7 @@ def test_results_of_older_versions_still_load(canyon: Callable[..., Scene], tmp_
     result.save(path)
     with h5py.File(path, "r+") as file:
         process = file["entry/process"]
-        for name in (
-            "method",
-            "interrupted",
-            "state",
-            "versions",
-            "options",
-            "levels",
-            "date",
-            "floor_w_m2",
-            "omissions",
-        ):
+        for name in ("method", "interrupted", "state", "versions", "options", "levels", "date", "floor_w_m2"):
             del process[name]
         del process["energy/handed_w"]
         for name in ("left", "right", "ground"):
