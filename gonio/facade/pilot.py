@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
+TIERS = (0.5, 0.1, 0.02, 0.004)
+"""Statistical tolerances of pilots, about; the first asks for the first points only."""
+
 
 class Outcome(NamedTuple):
     """What one run of the engine gives the planner."""
@@ -27,6 +30,8 @@ class Outcome(NamedTuple):
     """Total of each patch in each replica, W/m2, (cells, replicas), receiver after receiver."""
     photons: int = 0
     """Photons started at sun and sky in all replicas together; 0: none were needed, or it is not known."""
+    change: FloatArray | None = None
+    """(cells,) W/m2, what larger patches for the exchange change; None: there are none."""
 
 
 class Engine(Protocol):
@@ -45,7 +50,12 @@ def compared(a: Outcome, b: Outcome) -> Difference:
     Where N photons share the power P and none arrives, the power that arrives is below ``-ln(1e-4) P / N``
     with the confidence of the other bounds, for independent photons; Sobol points do better.
     """
-    return difference(a.replicas - b.replicas, shares(a.irradiance), np.maximum(_unseen(a), _unseen(b)))
+    cells = shares(a.irradiance)
+    allowance = np.maximum(_unseen(a), _unseen(b))
+    if a.change is not None and b.change is not None:
+        change = (a.change - b.change) ** 2
+        allowance = allowance + np.array([math.sqrt(weight @ change[here]) for here, weight in cells])
+    return difference(a.replicas - b.replicas, cells, allowance)
 
 
 def shares(irradiance: Irradiance) -> list[tuple[slice, FloatArray]]:
@@ -99,3 +109,22 @@ def engine(*, seed: int = 0, threads: int | None = None) -> Engine:
         return Outcome(irradiance, one.replicas(), one.photons)
 
     return run
+
+
+def pilots(scene: Scene, *, seed: int = 0, threads: int | None = None) -> Engine:
+    """Return what runs versions of a scene briefly: transport rows, or paths where those are too many."""
+    from gonio.facade.brief import Pilots
+    from gonio.facade.paths import available_threads
+    from gonio.facade.rows_run import suits
+
+    if not suits(scene):
+        return engine(seed=seed, threads=threads)
+    return Pilots(scene, seed, threads or available_threads())
+
+
+@runtime_checkable
+class Screen(Protocol):
+    """An engine that also says what the lobes of a material do for certain."""
+
+    def first_light(self, material: str) -> FloatArray:
+        """Return lower bounds of what its lobes throw straight onto the receivers, (receivers,) W/m2."""

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.facade.bounds import Difference
-from gonio.facade.pilot import Engine, Outcome, compared, engine, means
+from gonio.facade.pilot import TIERS, Engine, Outcome, Screen, compared, means, pilots
 from gonio.facade.reach import is_grey, lobe_meets_lobe
 from gonio.facade.reduce import Level, at_level, glossy_materials, sphere_coefficients, used_materials
 from gonio.facade.result import Omission
@@ -40,12 +40,16 @@ FloatArray = NDArray[np.float64]
 SHARE = 0.5
 """Part of the tolerance that omissions may take; the statistical part then needs a third more samples."""
 
-TIERS = (0.5, 0.1, 0.02, 0.004)
-"""Statistical tolerances of the pilots, tried one after the other while a bound is undecided; the first asks
-for the first points only."""
+SURE = 3.0
+"""A material whose lobes throw this many times the share of the tolerance, relative to DNI + DHI, onto a
+receiver, is not tried as diffuse."""
 
-WORTH = 0.25
-"""Part of the whole run's rays that finer pilots may cost together."""
+GUESS = 0.05
+"""Relative error of a pilot of the first tier, until one has been run."""
+
+WORTH = 0.35
+"""Part of the whole run's cost, roughly guessed, that pilots may cost; the first look at what may be small is
+free of it."""
 
 POWER = 4.0 / 3.0
 """Rays grow as error^-4/3: the variance of scrambled Sobol points falls about as points^-1.5."""
@@ -115,7 +119,7 @@ def choose(
         with the same seed; not called if there is nothing to decide.  Default: `gonio.facade.pilot.engine`
         with `seed` and `threads`.
     """
-    return _Plan(scene, rel_tol, run or engine(seed=seed, threads=threads)).decide()
+    return _Plan(scene, rel_tol, run or pilots(scene, seed=seed, threads=threads)).decide()
 
 
 @dataclass
@@ -128,9 +132,10 @@ class _Plan:
     levels: dict[str, Level] = field(default_factory=dict)
     rays: int = 0
     one_band: bool = False
-    _outcome_of_all: Outcome = field(init=False)
-    floor: FloatArray = field(init=False)
-    spent: FloatArray = field(init=False)
+    unseen: list[str] = field(default_factory=list)  # what was not tried
+    cost: float = 0.0  # of the pilots, in those of the first tier
+    floor: FloatArray | None = None  # (receivers,) W/m2 that relative errors refer to
+    spent: FloatArray = field(default_factory=lambda: np.zeros(0))  # (receivers,) sum of bounds so far
     _outcomes: dict[tuple[object, ...], Outcome] = field(default_factory=dict)
 
     def decide(self) -> Choice:
@@ -145,92 +150,136 @@ class _Plan:
         if scene.bands and is_grey(scene):
             self.one_band = True
             self.lines.append("all bands have the same materials: one band is exact")
-        bands = bool(scene.bands) and not self.one_band
-        if not bands and not glossy:
-            return self._choice(np.zeros(1))
-        first = self._outcome_of_all = self._outcome(TIERS[0])
-        mean, error = means(first)
         light = scene.direct_w_m2 + scene.dhi_w_m2
-        # A relative bound needs a mean from below; the error of the pilot's is taken off.
-        self.floor = np.maximum(np.maximum(mean - 3.0 * error, 0.5 * mean), DARK * light)
-        self.spent = np.zeros(len(mean))
-        if not np.any(self.floor > 0.0):
-            self.lines.append("there is no light")
+        if not light > 0.0:
             self._set(glossy, "diffuse")
             self.one_band = True
-            return self._choice(self.spent)
-        if bands:
-            self._try(f"{len(scene.bands)} bands as one average", [], None, one_band=True)
-        polarised = [name for name in glossy if self.levels[name] == "polarised"]
-        if polarised:
-            self._try("polarization between lobes", polarised, "lobe")
-        self._lower(sorted(glossy, key=self._weight))
-        return self._choice(self.spent / self.floor)
+            self.lines.append("there is no light")
+            return self._choice()
+        if scene.bands and not self.one_band:
+            what = f"{len(scene.bands)} bands as one average"
+            self._try(what, [], None, one_band=True, anyway=True)
+        if glossy:
+            small = self._small(sorted(glossy, key=self._weight), light)
+            self._lower(small, anyway=True)
+            polarised = [name for name in glossy if self.levels[name] == "polarised"]
+            if polarised:
+                self._try("polarization between lobes", polarised, "lobe")
+            for name in glossy:
+                if self.levels[name] != "diffuse":
+                    self._try(_lobes([name], "a mirror of constant k_s"), [name], "mirror")
+        return self._choice()
+
+    def _small(self, glossy: Sequence[str], light: float) -> list[str]:
+        """Return the materials whose lobes may be negligible; say of the others what they do at least."""
+        if not isinstance(self.run, Screen):
+            return list(glossy)
+        found = []
+        for name in glossy:
+            least = float(np.max(self.run.first_light(name), initial=0.0))
+            if least > SURE * SHARE * self.rel_tol * light:
+                self.lines.append(f"kept: lobe of '{name}'; it throws {least:.3g} W/m2 or more on a receiver")
+            else:
+                found.append(name)
+        return found
 
     # -- trying
 
-    def _lower(self, names: Sequence[str]) -> None:
-        """Make as many materials diffuse as fit: all together, else each half by itself, else a mirror."""
+    def _lower(self, names: Sequence[str], *, anyway: bool = False) -> None:
+        """Make as many materials diffuse as fit: all together, else each half by itself."""
         if not names:
             return
-        if self._try(_lobes(names, "diffuse (Lambert k_g)"), names, "diffuse"):
+        if self._try(_lobes(names, "diffuse (Lambert k_g)"), names, "diffuse", anyway=anyway):
             return
         if len(names) == 1:
-            self._try(_lobes(names, "a mirror of constant k_s"), names, "mirror")
             return
         middle = (len(names) + 1) // 2
         self._lower(names[:middle])
         self._lower(names[middle:])
 
-    def _try(self, what: str, names: Sequence[str], level: Level | None, *, one_band: bool = False) -> bool:
-        """Simplify if the bound of what is lost fits on every receiver; say so or why not."""
+    def _try(
+        self,
+        what: str,
+        names: Sequence[str],
+        level: Level | None,
+        *,
+        one_band: bool = False,
+        anyway: bool = False,
+    ) -> bool:
+        """Simplify if the bound of what is lost fits on every receiver; say so or why not.
+
+        With `anyway` the first pilots are run whatever they cost.
+        """
         before = dict(self.levels), self.one_band
-        budget = SHARE * self.rel_tol * self.floor - self.spent
         found: Difference | None = None
         for tier in TIERS:
-            if found is not None and not self._worth(tier):
+            if not (anyway and found is None) and not self._worth(tier):
                 break
             self.levels, self.one_band = dict(before[0]), before[1]
             reference = self._outcome(tier)
             self._set(names, level)
             self.one_band = self.one_band or one_band
             found = compared(self._outcome(tier), reference)
+            budget = self._budget()
             if np.all(found.bound <= budget):
                 self._keep(what, found)
                 return True
             if np.any(found.least > budget):
                 break  # more samples would not change the answer
-        assert found is not None
         self.levels, self.one_band = before
-        self._refuse(what, found, certain=bool(np.any(found.least > budget)))
+        if found is None:
+            self.unseen.append(what)
+        else:
+            self._refuse(what, found, certain=bool(np.any(found.least > self._budget())))
         return False
 
+    def _budget(self) -> FloatArray:
+        """Return what a further omission may cost, (receivers,) W/m2; the first call looks at the means."""
+        if self.floor is None:
+            mean, error = means(self._first)
+            light = self.original.direct_w_m2 + self.original.dhi_w_m2
+            # A relative bound needs a mean from below; the error of the pilot's is taken off.
+            self.floor = np.maximum(np.maximum(mean - 3.0 * error, 0.5 * mean), DARK * light)
+            self.spent = np.zeros(len(mean))
+        return SHARE * self.rel_tol * self.floor - self.spent
+
     def _worth(self, tier: float) -> bool:
-        """Say whether two more pilots at `tier` cost less than a part of the whole run."""
-        first = self._outcome_of_all.irradiance
-        reached = max(first.relative_error, 1e-9)
-        whole = first.rays * max(1.0, (reached / self.rel_tol) ** POWER)
-        pilots = 2.0 * first.rays * max(1.0, (min(reached, TIERS[0]) / tier) ** POWER)
-        return tier > self.rel_tol and self.rays + pilots <= WORTH * whole
+        """Say whether two pilots at `tier` cost less than a part of the whole run."""
+        reached = GUESS
+        if self._outcomes:
+            reached = self._first.irradiance.relative_error
+        whole = max(1.0, (reached / self.rel_tol) ** POWER)
+        pilots = 2.0 * max(1.0, (TIERS[0] / tier) ** POWER)
+        return tier > self.rel_tol and self.cost + pilots <= WORTH * whole
+
+    @property
+    def _floor(self) -> FloatArray:
+        assert self.floor is not None
+        return self.floor
+
+    @property
+    def _first(self) -> Outcome:
+        return next(iter(self._outcomes.values()))
 
     def _refuse(self, what: str, found: Difference, *, certain: bool) -> None:
         reach = found.least if certain else found.bound
-        worst = int(np.argmax(reach / self.floor))
+        worst = int(np.argmax(reach / self._floor))
         verb = "changes" if certain else "may change"
         limit = "at least" if certain else "up to"
         self.lines.append(
             f"kept: {what} {verb} '{self._names()[worst]}' by {limit} {reach[worst]:.3g} W/m2 "
-            f"({100.0 * reach[worst] / self.floor[worst]:.2g} %)"
+            f"({100.0 * reach[worst] / self._floor[worst]:.2g} %)"
         )
 
     def _keep(self, what: str, found: Difference) -> None:
         self.spent = self.spent + found.bound
-        for name, bound, floor in zip(self._names(), found.bound, self.floor, strict=True):
-            self.omissions.append(Omission(what, float(bound), float(100.0 * bound / floor), name))
-        worst = int(np.argmax(found.bound / self.floor))
+        percent = 100.0 * found.bound / self._floor
+        for name, bound, part in zip(self._names(), found.bound, percent, strict=True):
+            self.omissions.append(Omission(what, float(bound), float(part), name))
+        worst = int(np.argmax(percent))
         self.lines.append(
             f"left out: {what}; at most {found.bound[worst]:.3g} W/m2 "
-            f"({100.0 * found.bound[worst] / self.floor[worst]:.2g} %) on '{self._names()[worst]}'"
+            f"({percent[worst]:.2g} %) on '{self._names()[worst]}'"
         )
 
     def _set(self, names: Sequence[str], level: Level | None) -> None:
@@ -250,18 +299,24 @@ class _Plan:
     def _scene(self, *, shy: bool) -> Scene:
         return at_level(self.original, self.levels, one_band=self.one_band, shy=shy)
 
-    def _outcome(self, tolerance: float) -> Outcome:
-        key = (tuple(self.levels.items()), self.one_band, tolerance)
+    def _outcome(self, tier: float) -> Outcome:
+        key = (tuple(self.levels.items()), self.one_band, tier)
         if key not in self._outcomes:
             # While lobes remain, those taken away leave a trace, so that photons start where they did.
             glossy = any(level != "diffuse" for level in self.levels.values())
-            self._outcomes[key] = self.run(self._scene(shy=glossy), tolerance)
+            self._outcomes[key] = self.run(self._scene(shy=glossy), tier)
             self.rays += self._outcomes[key].irradiance.rays
+            self.cost += max(1.0, (TIERS[0] / tier) ** POWER)
         return self._outcomes[key]
 
-    def _choice(self, spent: FloatArray) -> Choice:
+    def _choice(self) -> Choice:
         scene = self._scene(shy=False)
-        worst = float(np.max(spent))
+        if self.unseen:
+            more = f" and {len(self.unseen) - 3} more" if len(self.unseen) > 3 else ""
+            self.lines.append(
+                f"kept without a look, which costs as much as they do: {'; '.join(self.unseen[:3])}{more}"
+            )
+        worst = 0.0 if self.floor is None else float(np.max(self.spent / self.floor))
         return Choice(
             scene,
             scene.polarised,
