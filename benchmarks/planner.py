@@ -3,13 +3,13 @@
     python benchmarks/planner.py [--scenes 60] [--first 0] [--tolerances 0.05,0.01,0.003]
     python benchmarks/planner.py --survey
 
-Random scenes (streets with and without ends, boxes, modules; suns from the zenith to grazing; lobes of alpha
-1 to 1e6, windows, several bands) are planned and run at each tolerance, and compared with everything (all
-bands, every lobe, polarised) in a longer run with other random numbers.  For every receiver the root mean
-square of the patches' differences and the difference of the means must be below the sum of the bounds, the
-discretisation that both runs state, and 3 combined standard errors.  The looseness compares the bound with the omitted part itself, which a pair of long
-runs with common random numbers shows.  The survey prints where a lobe matters.  Times are CPU seconds of the
-process.
+Random scenes (streets with and without ends, boxes, modules; suns from the zenith to grazing; lobes of
+alpha 1 to 1e6, windows, several bands) are planned and run at each tolerance, and compared with everything
+(all bands, every lobe, polarised) in a longer run with other random numbers. For every receiver the root
+mean square of the patches' differences and the difference of the means must be below the sum of the bounds,
+the discretisation that both runs state, and 3 combined standard errors. The looseness compares the bound
+with the omitted part itself, which a pair of long runs with common random numbers shows. The survey prints
+where a lobe matters. Times are CPU seconds of the process.
 """
 
 from __future__ import annotations
