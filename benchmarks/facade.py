@@ -3,13 +3,13 @@
     python benchmarks/facade.py [--threads N] [--seeds N] [--quick] [--only canyons lobe latency coverage]
 
 Canyons: 20 facade bands of endless matte canyons (walls 0.72, ground 0.2).  The error is the RMS over the
-bands of value / truth - 1, the truth a radiosity with exact view factors.  "Time to 1 %" is the time at which the
-median of the measured errors over several seeds is 1 %: each engine gets more samples until it is below, and
-between the last two settings the time is interpolated on logarithmic scales.  What an engine claims does not
+bands of value / truth - 1, the truth a radiosity with exact view factors.  "Time to 1 %" is the time at which
+the median of the measured errors over several seeds is 1 %: each engine gets more samples until it is below,
+and between the last two settings the time is interpolated on logarithmic scales.  What an engine claims does not
 count, and is printed beside.  Compilation is not in these times; it has a table of its own.
 
-Lobe: sun on a glossy wall, 10 bands opposite, against a quadrature of the one reflection; the error is the RMS
-over the mean.  Coverage: standard errors claimed against errors measured, over many seeds.
+Lobe: sun on a glossy wall, 10 bands opposite, against a quadrature of the one reflection; the error is the
+RMS over the mean.  Coverage: standard errors claimed against errors measured, over many seeds.
 
 Wall seconds mean something on a quiet machine only; the processor seconds of all threads stand beside them,
 and ratios are of those.
@@ -110,7 +110,8 @@ def canyons(seeds: int, threads: int, quick: bool) -> None:
                   lambda t, seed, scene=scene: cases.ours(
                       scene, t, seed, threads=threads, estimator="paths"), targets[-1]),
             climb(Line("ours, plain Monte Carlo", error), [2.0**k for k in range(12, 24, 2)], min(seeds, 3),
-                  lambda n, seed, scene=scene: cases.plain(scene, int(n), seed, threads=threads), targets[-1]),
+                  lambda n, seed, scene=scene: cases.plain(
+                      scene, int(n), seed, threads=threads), targets[-1]),
         ]  # fmt: skip
         for sampler, found in traced.items():
             line = Line(f"Mitsuba {variant}, {sampler}", error)

@@ -2,8 +2,8 @@
 
     python benchmarks/peers.py [--matte 12] [--glossy 6] [--first 0] [--samples 2048] [--rel-tol 0.003]
 
-For each scene and peer: number of patches, the worst difference and the root mean square of all differences in
-combined standard errors (a peer's come from 16 batches: rms near 1.07 is what is expected), the root mean
+For each scene and peer: number of patches, the worst difference and the root mean square of all differences
+in combined standard errors (a peer's come from 16 batches: rms near 1.07 is what is expected), the root mean
 square of the differences over the mean irradiance, and processor seconds of all threads (a peer's without
 compilation).
 """
@@ -42,7 +42,8 @@ def main() -> None:
     else:
         named += [scenes.glossy(seed) for seed in range(chosen.first, chosen.first + chosen.glossy)]
     print(
-        f"{'scene':<66}{'patches':>8}{'peer':>10}{'worst z':>9}{'rms z':>7}{'rms %':>7}{'ours s':>8}{'peer s':>8}"
+        f"{'scene':<66}{'patches':>8}{'peer':>10}{'worst z':>9}{'rms z':>7}{'rms %':>7}{'ours s':>8}"
+        f"{'peer s':>8}"
     )
     over = total = 0
     for item in named:

@@ -69,6 +69,26 @@ def test_direct_view_of_the_sky_is_the_view_factor(height: float, canyon: Callab
         assert float(sky.standard_error) < 0.2
 
 
+@pytest.mark.parametrize(
+    ("height", "dni", "dhi", "rel_tol", "limit"),
+    [
+        (1.0, 0.0, 1.0, 7e-5, 1e-4),
+        (1.0, 1.0, 0.15, 7e-5, 1e-4),
+        (2.0, 0.0, 1.0, 5e-4, 1e-3),
+        (2.0, 1.0, 0.15, 5e-4, 1e-3),
+    ],
+)
+def test_transport_rows_reach_the_radiosity(
+    height: float, dni: float, dhi: float, rel_tol: float, limit: float, canyon: Callable[..., Scene], bands
+) -> None:  # type: ignore[no-untyped-def]
+    scene = canyon(height=height, dni=dni, dhi=dhi)
+    value, se = bands(simulate(scene, rel_tol=rel_tol, seed=3, estimator="rows"))
+    expected = radiosity.bands(height, walls=0.72, ground=0.2, dni=dni, dhi=dhi, strips=100)
+    assert np.sqrt(np.mean((value - expected) ** 2)) / expected.mean() < limit
+    # 16 replicas: Student's t; 30 bands that share their light
+    assert np.max(np.abs(value - expected) / (se + 1e-6 * expected)) < 5.0
+
+
 def test_white_canyon_under_a_white_sky_is_a_furnace(canyon: Callable[..., Scene], bands) -> None:  # type: ignore[no-untyped-def]
     white = Optics(1.0)
     value, _ = bands(simulate(canyon(wall=white, ground=white, height=2.0, dhi=math.pi), rel_tol=0.01))

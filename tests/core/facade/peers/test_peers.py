@@ -19,8 +19,8 @@ pytestmark = pytest.mark.skipif(
     reason="mitsuba and pyradiance are not installed; both are in the dev extra",
 )
 
-MATTE = (0, 1, 2)
-"""An endless street, one with ends, one with boxes."""
+MATTE = (0, 1, 2, 3)
+"""An endless street, one with ends, one with boxes, one with tilted modules and a mesh."""
 BATCHES = 16
 
 
