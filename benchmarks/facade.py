@@ -5,8 +5,8 @@
 Canyons: 20 facade bands of endless matte canyons (walls 0.72, ground 0.2).  The error is the RMS over the
 bands of value / truth - 1, the truth a radiosity with exact view factors.  "Time to 1 %" is the time at which
 the median of the measured errors over several seeds is 1 %: each engine gets more samples until it is below,
-and between the last two settings the time is interpolated on logarithmic scales.  What an engine claims does not
-count, and is printed beside.  Compilation is not in these times; it has a table of its own.
+and between the last two settings the time is interpolated on logarithmic scales.  What an engine claims does
+not count, and is printed beside.  Compilation is not in these times; it has a table of its own.
 
 Lobe: sun on a glossy wall, 10 bands opposite, against a quadrature of the one reflection; the error is the
 RMS over the mean.  Coverage: standard errors claimed against errors measured, over many seeds.
