@@ -25,7 +25,7 @@ DENSE = 700
 """Up to so many patches the system is factorised; beyond, iterated."""
 
 _ACCURACY = 1e-11
-_INFLUENCE = 1e-3  # relative accuracy of what only serves standard errors
+_INFLUENCE = 0.02  # relative accuracy of what only serves standard errors
 
 
 class Exchange:
