@@ -1,7 +1,6 @@
 """Imported first, puts the root of the repository in the place of this folder on the path.
 
-Numba asks for the package `coverage` and would get the benchmark of that name; and the benchmarks share the
-tests' peers.
+The benchmarks share the tests' peers.
 """
 
 import sys

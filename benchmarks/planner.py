@@ -21,7 +21,6 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-import _numba_alone  # noqa: F401
 import numpy as np
 
 from gonio.facade import Optics, Scene, Sun, Surface, box, street

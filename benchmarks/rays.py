@@ -11,14 +11,11 @@ in process time.  Lost rays start inside closed bodies.
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Callable
 from typing import Any
 
 from _one_core import machine  # isort: skip - before numpy, which reads its settings once
-
-sys.path.pop(0)  # the `coverage.py` beside this file is not the package that numba looks for
 
 import numpy as np
 from embreex import rtcore_scene

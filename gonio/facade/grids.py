@@ -15,7 +15,7 @@ from gonio.facade.geometry import Mesh
 from gonio.facade.layout import Geometry, IntArray, Patches
 from gonio.facade.scene import Scene
 
-_PATCHES = 48
+_PATCHES = 128
 """Patches of a scene of one size, about, before they are divided further."""
 
 

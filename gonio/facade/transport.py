@@ -57,6 +57,7 @@ class Rows:
     points: int = 0
     rays: int = 0
     rounds: list[Sparse] = field(default_factory=list)
+    _folded: dict[int, tuple[int, sparse.csr_array]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, chosen: IntArray, bands: int) -> Rows:
@@ -82,9 +83,11 @@ class Rows:
     def mean(self, column: int, width: int) -> sparse.csr_array:
         """Return the average over points and replicas, (c, width); 0 for patches that are hidden."""
         scale = 1.0 / np.maximum(self.exposed().sum(axis=1), 1.0)
-        total = sparse.csr_array((len(self.chosen), width))
-        for part in self.rounds:
+        # rounds do not change, so their sum is kept from one solution to the next
+        done, total = self._folded.get(column, (0, sparse.csr_array((len(self.chosen), width))))
+        for part in self.rounds[done:]:
             total = total + part.summed(column, width)
+        self._folded[column] = len(self.rounds), total
         return sparse.csr_array(sparse.diags_array(scale) @ total)
 
 

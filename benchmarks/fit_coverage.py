@@ -1,6 +1,6 @@
 """Is the fit unbiased, as precise as the data allow, and do 95 % intervals cover 95 %?  Against known truths.
 
-    python benchmarks/coverage.py [--cases 100] [--each 100] [--polarization joint s p] [--corners]
+    python benchmarks/fit_coverage.py [--cases 100] [--each 100] [--polarization joint s p] [--corners]
                                   [--intervals wald|profile] [--alone] [--common] [--strata]
 
 Truths are drawn at random: alpha 10...2000 and rho_s 0.2...2 on their logarithms, n2 1.2...1.8, rho_d
