@@ -157,7 +157,7 @@ def lobe(seeds: int, threads: int) -> None:
         def error(bands: FloatArray, true: FloatArray = true) -> float:
             return float(np.sqrt(np.mean((bands - true) ** 2)) / true.mean())
 
-        cases.ours(scene, 0.1, 0, threads=threads)
+        cases.ours(scene, 0.1, 0, threads=threads, over_mean=True)
         line = climb(Line("ours", error), TOLERANCES, seeds,
                      lambda t, seed, scene=scene: cases.ours(
                          scene, t, seed, threads=threads, over_mean=True), 0.01)  # fmt: skip
