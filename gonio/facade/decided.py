@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,9 +14,9 @@ from gonio.facade import planner
 from gonio.facade.reduce import Level, at_level
 from gonio.facade.result import Omission
 from gonio.facade.scene import Scene
-from gonio.facade.state_file import State
+from gonio.facade.state_file import DIGEST, State, check_digest, digest_of
 
-_KEY = "decided"
+_KEY, _GIVEN = "decided", "given"
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +32,7 @@ class Decided:
     one_band: bool
     text: str
     rays: int = 0
+    given: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))
 
     @property
     def relative(self) -> dict[str, float]:
@@ -55,23 +56,40 @@ class Decided:
             "text": self.text,
             "rays": self.rays,
         }
-        return {_KEY: np.frombuffer(json.dumps(kept).encode(), np.uint8).copy()}
+        return {_KEY: np.frombuffer(json.dumps(kept).encode(), np.uint8).copy(), _GIVEN: self.given}
 
 
 def decide(
     scene: Scene, rel_tol: float, *, seed: int, threads: int, planned: bool, full: bool, state: State | None
 ) -> Decided:
     """Return what to simulate: as decided before, the scene itself, everything, or the planner's choice."""
+    given = _digest(scene)
     if state is not None and _KEY in state:
+        check_digest({DIGEST: state[_GIVEN]}, given)
         kept = json.loads(bytes(np.asarray(state[_KEY], np.uint8)))
         reduced = at_level(scene, kept["levels"], one_band=kept["one_band"])
         omissions = tuple(Omission(**o) for o in kept["omissions"])
-        return Decided(reduced, omissions, kept["levels"], kept["one_band"], kept["text"], kept["rays"])
+        return Decided(
+            reduced, omissions, kept["levels"], kept["one_band"], kept["text"], kept["rays"], given
+        )
     if not planned:
-        return Decided(scene, (), {}, False, "")
+        return Decided(scene, (), {}, False, "", 0, given)
     if full:
         choice = planner.full(scene, rel_tol)
     else:
         choice = planner.choose(scene, rel_tol, seed=seed, threads=threads)
     one_band = bool(scene.bands) and not choice.scene.bands
-    return Decided(choice.scene, choice.omissions, choice.levels, one_band, choice.text, choice.rays)
+    return Decided(choice.scene, choice.omissions, choice.levels, one_band, choice.text, choice.rays, given)
+
+
+def _digest(scene: Scene) -> NDArray[np.uint8]:
+    """Return what tells a scene from another one, before anything is left out of it."""
+    meshes = [
+        (m.name, m.vertices_m, m.faces, repr(m.materials), m.face_material, m.receiver, m.sides)
+        for m in scene.meshes
+    ]
+    rest = (
+        scene.surfaces, dict(scene.materials), scene.sun, scene.dni_w_m2, scene.dhi_w_m2, scene.infinite,
+        scene.energy, scene.horizon, scene.bands, scene.sky, scene.polarised, scene.broadband_w_m2,
+    )  # fmt: skip
+    return digest_of(repr(rest), meshes)

@@ -27,7 +27,7 @@ from gonio.facade.pack import Packed, pack
 from gonio.facade.scene import Scene
 from gonio.facade.sobol import sobol_directions
 from gonio.facade.starts import chances
-from gonio.facade.transport import REPLICAS, Rows, Sparse
+from gonio.facade.transport import REPLICAS, Matrix, Rows, Sparse, scaled, zeros
 
 Progress = Callable[[float, str], None]
 
@@ -90,12 +90,12 @@ class Columns:
             total += (part.matrix(column, width).T @ put).toarray()
         return total / max(self.points, 1)
 
-    def mean(self, column: int, width: int) -> sparse.csr_array:
+    def mean(self, column: int, width: int) -> Matrix:
         """Return the part of what each patch emits that arrives at the others, (c, width)."""
-        total = sparse.csr_array((len(self.chosen), width))
+        total = zeros(len(self.chosen), width)
         for part in self.rounds:
             total = total + part.summed(column, width)
-        return sparse.csr_array(total / max(self.points * REPLICAS, 1))
+        return scaled(np.full(len(self.chosen), 1.0 / max(self.points * REPLICAS, 1)), total)
 
 
 Part = Rows | Photons | Columns

@@ -14,15 +14,16 @@ is exact to first order, and the bias of solving with averaged inputs is of seco
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg, sparse
 from scipy.sparse import linalg as sparse_linalg
 
 from gonio.errors import SceneError
 from gonio.facade.layout import FloatArray, IntArray
-
-DENSE = 700
-"""Up to so many patches the system is factorised; beyond, iterated."""
+from gonio.facade.transport import Matrix
 
 _ACCURACY = 1e-11
 _INFLUENCE = 0.02  # relative accuracy of what only serves standard errors
@@ -42,12 +43,12 @@ class Exchange:
         When solved: no solution, since a closed space reflects all of the light in it.
     """
 
-    def __init__(self, diffuse: sparse.csr_array) -> None:
+    def __init__(self, diffuse: Matrix) -> None:
         self._size = diffuse.shape[0]
         self._matrix = diffuse
-        self._factors: tuple[FloatArray, IntArray] | None = None
-        if 0 < self._size <= DENSE:
-            system = np.eye(self._size) - diffuse.toarray()
+        self._factors: tuple[FloatArray, NDArray[Any]] | None = None
+        if isinstance(diffuse, np.ndarray) and self._size > 0:
+            system = np.eye(self._size) - diffuse
             self._factors = linalg.lu_factor(system, check_finite=False)
 
     def solve(self, given: FloatArray) -> FloatArray:
@@ -84,18 +85,19 @@ class Exchange:
         return found
 
 
-def merged(matrix: sparse.csr_array, group: IntArray, area: FloatArray) -> sparse.csr_array:
+def merged(matrix: Matrix, group: IntArray, area: FloatArray) -> Matrix:
     """Return the transport between groups of patches: rows averaged by area, columns summed.
 
     `group` (n,) is the number of the group of each patch.
     """
-    count = int(group.max()) + 1
-    members = sparse.csr_array(
-        (np.ones(len(group)), (group, np.arange(len(group)))), shape=(count, len(group))
-    )
-    total = np.asarray(members @ area)
-    average = sparse.diags_array(1.0 / np.maximum(total, 1e-300)) @ members @ sparse.diags_array(area)
-    return sparse.csr_array(average @ matrix @ members.T)
+    count, n = int(group.max()) + 1, len(group)
+    members = sparse.csr_array((np.ones(n), (group, np.arange(n))), shape=(count, n))
+    average = 1.0 / np.maximum(np.asarray(members @ area), 1e-300)
+    if isinstance(matrix, np.ndarray):
+        full = members.toarray()
+        return np.asarray((average[:, None] * full * area) @ matrix @ full.T)
+    weights = sparse.diags_array(average) @ members @ sparse.diags_array(area)
+    return sparse.csr_array(weights @ matrix @ members.T)
 
 
 def averaged(values: FloatArray, group: IntArray, area: FloatArray) -> FloatArray:

@@ -120,8 +120,9 @@ def trace_rows(
             if covered:
                 continue
             sums[unit, EXPOSED] += 1.0
-            s = sun_direction(light, coordinate(bits[4], scramble[4]), coordinate(bits[5], scramble[5]))
+            s = n
             if light.dni > 0.0:
+                s = sun_direction(light, coordinate(bits[4], scramble[4]), coordinate(bits[5], scramble[5]))
                 cosine = dot(n, s)
                 if cosine > 0.0 and s[2] > 0.0:
                     rays += 1
@@ -161,8 +162,8 @@ def trace_rows(
                 weight[unit, slot, :] = 0.0
                 met += 1
             count[unit, slot] += 1.0
-            seen = 0.0
             cosine = dot(m, s)
+            seen = 0.0
             if gather and light.dni > 0.0 and cosine > 0.0 and s[2] > 0.0:
                 rays += 1
                 if not occluded(g, along_ray(p, t, d), s, hit):

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from gonio.facade import grids, layout
 from gonio.facade.collect import Replicated, added, receivers_of
@@ -67,6 +68,7 @@ class RowsRun:
         self.engine = self._engine(seed, threads, {})
         self._solved: Solution | None = None
         self._changed: FloatArray | None = None
+        self._average: sparse.csr_array | None = None
 
     def _engine(self, seed: int, threads: int, fineness: Mapping[str, int]) -> Engine:
         return Engine(self.scene, seed, threads, fineness=fineness, polarised=self.scene.polarised)
@@ -123,9 +125,9 @@ class RowsRun:
         """
         parts = self.engine.parts
         rays = np.array([max(p.rays, 1) for p in parts], np.float64)
-        low, high = 0.0, 1e30
-        for _ in range(200):  # bisection for the common v/r, on a logarithmic scale
-            level = math.sqrt(max(low, 1e-30) * high)
+        low, high = float(np.max(variances / rays)) * 1e-12, float(np.max(variances / rays))
+        for _ in range(30):  # bisection for the common v/r, on a logarithmic scale
+            level = math.sqrt(low * high)
             growth = np.maximum(variances / rays / level, 1.0) ** 0.4
             if float(np.sum(variances * growth**-1.5)) > wanted:
                 high = level
@@ -195,7 +197,7 @@ class RowsRun:
         self._forget()
 
     def _forget(self) -> None:
-        self._solved = self._changed = None
+        self._solved = self._changed = self._average = None
 
     def _tell(self, rel_tol: float, reached: float) -> None:
         done = min(1.0, (rel_tol / reached) ** 1.5) if reached > 0.0 else 1.0
@@ -313,14 +315,16 @@ class RowsRun:
 
     def _per_cell(self, values: FloatArray) -> FloatArray:
         """Return the average over the cell of the result that each patch belongs to, shape of `values`."""
-        cell, area = self.engine.packed.patches.receiver, self.solution.area
-        inside = cell >= 0
+        if self._average is None:
+            cell, area = self.engine.packed.patches.receiver, self.solution.area
+            inside = np.flatnonzero(cell >= 0)
+            whole = np.bincount(cell[inside], area[inside], self.engine.packed.cells)
+            share = area[inside] / np.maximum(whole[cell[inside]], 1e-300)
+            shape = (self.engine.packed.cells, self.engine.size)
+            self._average = sparse.csr_array((share, (cell[inside], inside)), shape=shape)
         found = np.zeros_like(values)
-        weights = area[inside]
-        whole = np.maximum(np.bincount(cell[inside], weights, minlength=self.engine.packed.cells), 1e-300)
-        for column in range(values.shape[1]):
-            sums = np.bincount(cell[inside], weights * values[inside, column], self.engine.packed.cells)
-            found[inside, column] = (sums / whole)[cell[inside]]
+        inside = np.flatnonzero(self.engine.packed.patches.receiver >= 0)
+        found[inside] = (self._average @ values)[self.engine.packed.patches.receiver[inside]]
         return found
 
     def _change(self, cells: FloatArray) -> float:

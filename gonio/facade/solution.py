@@ -13,7 +13,7 @@ from gonio.facade.engine import Columns, Engine, Photons
 from gonio.facade.exchange import Exchange, averaged, merged
 from gonio.facade.layout import FloatArray, IntArray
 from gonio.facade.result import ExchangeBalance
-from gonio.facade.transport import REPLICAS, Rows, doubted, spread
+from gonio.facade.transport import DENSE, REPLICAS, Matrix, Rows, doubted, spread
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ class Solution:
 
     contributions: dict[str, Replicated]
     deviations: dict[int, FloatArray]
-    uneven: tuple[tuple[sparse.csr_array, FloatArray, FloatArray], ...]
+    uneven: tuple[tuple[Matrix, FloatArray, FloatArray], ...]
     bands: tuple[Replicated, ...]
     exitance: FloatArray
     band_exitance: FloatArray  # (bands, n)
@@ -61,10 +61,10 @@ class Solution:
         found = np.zeros((n, count))
         noise = np.zeros((n, count, REPLICAS))
         for transport, jump, scatter in self.uneven:
-            place = (np.arange(n), owner)
-            found += (transport @ sparse.csr_array((jump, place), shape=(n, count))).toarray()
             for k in range(count):
-                noise[:, k] += transport @ np.where((owner == k)[:, None], scatter, 0.0)
+                mine = owner == k
+                found[:, k] += transport @ np.where(mine, jump, 0.0)
+                noise[:, k] += transport @ np.where(mine[:, None], scatter, 0.0)
         return found, noise
 
 
@@ -76,7 +76,7 @@ def solve(engine: Engine) -> Solution:
     direct_sum, sky_sum = _added(direct, n), _added(sky, n)
     diffuse = np.zeros((n, REPLICAS))
     deviations: dict[int, FloatArray] = {}
-    uneven: list[tuple[sparse.csr_array, FloatArray, FloatArray]] = []
+    uneven: list[tuple[Matrix, FloatArray, FloatArray]] = []
     bands: list[Replicated] = []
     exitance = np.zeros((len(engine.channels), n))
     for band, channel in enumerate(engine.channels):
@@ -147,15 +147,20 @@ class _View:
         for r in engine.rows:
             self.area[r.chosen] *= r.exposed().sum(axis=1) / max(r.points * REPLICAS, 1)
 
-    def mean(self, column: int) -> sparse.csr_array:
+    def mean(self, column: int) -> Matrix:
         """Return transport between all patches, (n, n): counts (0) or weights of a band."""
         n = self.engine.size
+        if n <= DENSE:
+            full = np.zeros((n, n))
+            for r in self.engine.rows:
+                full[r.chosen] = np.asarray(r.mean(column, n))
+            return full
         placed = sparse.csr_array((n, n))
         for r in self.engine.rows:
             put = sparse.csr_array(
                 (np.ones(len(r.chosen)), (r.chosen, np.arange(len(r.chosen)))), shape=(n, len(r.chosen))
             )
-            placed = placed + put @ r.mean(column, n)
+            placed = placed + put @ sparse.csr_array(r.mean(column, n))
         return sparse.csr_array(placed)
 
     def first(self, column: int) -> dict[int, FloatArray]:
@@ -206,7 +211,7 @@ class _System:
         self,
         view: _View,
         band: int,
-        d: sparse.csr_array,
+        d: Matrix,
         lobes: list[Photons | Columns],
         given_e: dict[int, FloatArray],
         given_m: dict[int, FloatArray],
@@ -227,9 +232,9 @@ class _System:
                 m[number] = self._landed(p.tally_d.T / max(p.points, 1))
             else:
                 columns[number] = p
-                self.t = sparse.csr_array(self.t + self._columns(p, 0))
                 through = self._columns(p, 1)
-                self.operator = sparse.csr_array(self.operator + through)
+                self.t = self.t + self._columns(p, 0)
+                self.operator = self.operator + through
                 lit_given = lit_given + through @ lit
         self.exchange = Exchange(self.operator)
         self.given = lit_given + np.asarray(sum(x.mean(axis=1) for x in m.values()))
@@ -270,13 +275,18 @@ class _System:
         """Return irradiance from power, both (n, REPLICAS)."""
         return power / np.maximum(self.view.area, 1e-300)[:, None]
 
-    def _columns(self, p: Columns, column: int) -> sparse.csr_array:
+    def _columns(self, p: Columns, column: int) -> Matrix:
         """Return what a unit of exitance of each patch adds to the irradiance of the others, (n, n)."""
         n = len(self.view.area)
+        receiving = 1.0 / np.maximum(self.view.area, 1e-300)
+        mean = p.mean(column, n)
+        if isinstance(mean, np.ndarray):
+            full = np.zeros((n, n))
+            full[:, p.chosen] = receiving[:, None] * mean.T * self.view.whole[p.chosen]
+            return full
         c = np.arange(len(p.chosen))
         put = sparse.csr_array((self.view.whole[p.chosen], (c, p.chosen)), shape=(len(c), n))
-        receiving = sparse.diags_array(1.0 / np.maximum(self.view.area, 1e-300))
-        return sparse.csr_array(receiving @ p.mean(column, n).T @ put)
+        return sparse.csr_array(sparse.diags_array(receiving) @ mean.T @ put)
 
     def _emitted(self, p: Columns, column: int) -> FloatArray:
         """Return what the exitance of the patches adds through lobes, (n, REPLICAS)."""

@@ -20,39 +20,40 @@ from numpy.typing import NDArray
 
 from gonio.facade.sampling import compiled
 
-_NODES = 1 << 14
+_NODES = 1 << 12
 
 
 @cache
 def angle_table() -> NDArray[np.float64]:
-    """Return t = 2 psi at equal steps of the cumulative probability, ``t + sin t = pi (2 u - 1)``, (n,)."""
+    """Return sine and cosine of psi at equal steps of its cumulative probability u, (n, 2).
+
+    ``2 psi + sin 2 psi = pi (2 u - 1)``.
+    """
     m = np.pi * np.linspace(-1.0, 1.0, _NODES + 1)
     low, high = np.full_like(m, -np.pi), np.full_like(m, np.pi)
     for _ in range(60):
         middle = 0.5 * (low + high)
         above = middle + np.sin(middle) > m
         low, high = np.where(above, low, middle), np.where(above, middle, high)
-    return 0.5 * (low + high)
+    psi = 0.25 * (low + high)
+    return np.ascontiguousarray(np.stack([np.sin(psi), np.cos(psi)], axis=1))
 
 
 @compiled
 def strip_direction(table: Any, normal: Any, along: Any, across: Any, a: float, b: float) -> Any:
     """Return a direction of density cos(theta)/pi about `normal`; `a` decides across, `b` along.
 
-    One Halley step mends the interpolated angle: to 1e-12 but in the outermost 1e-4 of directions along the
-    street, where it may be a few percent off in its distance from the plane.
+    Sine and cosine of psi are interpolated on the chord: off by 1e-7 at most, but in the outermost 5e-4
+    of directions along the street, which may be a few percent off in their distance from the plane.
     """
     at = b * (table.shape[0] - 1)
     node = int(at)
     part = at - node
-    t = table[node] + part * (table[node + 1] - table[node])
-    sine, cosine = math.sin(t), math.cos(t)
-    miss = t + sine - math.pi * (2.0 * b - 1.0)
-    slope = 1.0 + cosine
-    bottom = 2.0 * slope * slope + miss * sine
-    if bottom > 0.0:
-        t -= 2.0 * miss * slope / bottom
-    x, c = math.sin(0.5 * t), math.cos(0.5 * t)
+    x = table[node, 0] + part * (table[node + 1, 0] - table[node, 0])
+    c = table[node, 1] + part * (table[node + 1, 1] - table[node, 1])
+    scale = 1.0 / math.sqrt(x * x + c * c)
+    x *= scale
+    c *= scale
     y = c * (2.0 * a - 1.0)
     z = 2.0 * c * math.sqrt(a * (1.0 - a))
     return (

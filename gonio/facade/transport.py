@@ -8,12 +8,17 @@ sparse matrix whose rows can be read replica by replica or, summed, patch by pat
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 from scipy import sparse
 
 from gonio.facade import rows
 from gonio.facade.layout import FloatArray, IntArray
+
+Matrix: TypeAlias = FloatArray | sparse.csr_array
+DENSE = 700
+"""Up to so many patches matrices are full and the system is factorised; beyond, sparse and iterated."""
 
 REPLICAS = 16
 """Independent randomisations of every point set, whose scatter is the standard error."""
@@ -32,10 +37,15 @@ class Sparse:
         shape = (len(self.start) - 1, width)
         return sparse.csr_array((self.data[column], self.index, self.start), shape=shape)
 
-    def summed(self, column: int, width: int) -> sparse.csr_array:
+    def summed(self, column: int, width: int) -> Matrix:
         """Return the sum over the replicas of each patch, (units / REPLICAS, width)."""
         start = self.start[::REPLICAS]
-        return sparse.csr_array((self.data[column], self.index, start), shape=(len(start) - 1, width))
+        rows = len(start) - 1
+        if width <= DENSE:
+            place = np.repeat(np.arange(rows) * width, np.diff(start)) + self.index
+            full = np.bincount(place, self.data[column], rows * width).reshape(rows, width)
+            return np.asarray(full, np.float64)
+        return sparse.csr_array((self.data[column], self.index, start), shape=(rows, width))
 
 
 @dataclass(slots=True)
@@ -57,7 +67,7 @@ class Rows:
     points: int = 0
     rays: int = 0
     rounds: list[Sparse] = field(default_factory=list)
-    _folded: dict[int, tuple[int, sparse.csr_array]] = field(default_factory=dict)
+    _folded: dict[int, tuple[int, Matrix]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, chosen: IntArray, bands: int) -> Rows:
@@ -80,15 +90,27 @@ class Rows:
             total += _sums(products, part.start)
         return total.reshape(-1, REPLICAS)
 
-    def mean(self, column: int, width: int) -> sparse.csr_array:
+    def mean(self, column: int, width: int) -> Matrix:
         """Return the average over points and replicas, (c, width); 0 for patches that are hidden."""
         scale = 1.0 / np.maximum(self.exposed().sum(axis=1), 1.0)
         # rounds do not change, so their sum is kept from one solution to the next
-        done, total = self._folded.get(column, (0, sparse.csr_array((len(self.chosen), width))))
+        done, total = self._folded.get(column, (0, zeros(len(self.chosen), width)))
         for part in self.rounds[done:]:
             total = total + part.summed(column, width)
         self._folded[column] = len(self.rounds), total
-        return sparse.csr_array(sparse.diags_array(scale) @ total)
+        return scaled(scale, total)
+
+
+def zeros(rows: int, columns: int) -> Matrix:
+    """Return a matrix of zeros, full or sparse by the number of its columns."""
+    return np.zeros((rows, columns)) if columns <= DENSE else sparse.csr_array((rows, columns))
+
+
+def scaled(factors: FloatArray, matrix: Matrix) -> Matrix:
+    """Return the matrix with its rows multiplied by `factors`."""
+    if isinstance(matrix, np.ndarray):
+        return factors[:, None] * matrix
+    return sparse.csr_array(sparse.diags_array(factors) @ matrix)
 
 
 def _sums(values: FloatArray, start: IntArray) -> FloatArray:
