@@ -210,14 +210,6 @@ class Engine:
         return found
 
     @property
-    def gather(self) -> bool:
-        """Whether rays look for the sun where they meet a patch (`gonio.facade.rows`).
-
-        Not in an endless street: shadows of its eaves are straight, and rows of patches follow them.
-        """
-        return not self.scene.infinite
-
-    @property
     def names(self) -> list[str]:
         """Names of all surfaces and meshes."""
         return [s.name for s in self.scene.surfaces] + [m.name for m in self.scene.meshes]
@@ -263,7 +255,7 @@ class Engine:
             return int(
                 kernels.rows(
                     self.packed.geometry, self.light, self.table, self.packed.patches, part.chosen, reverse,
-                    angles, np.uint64(self.seed), REPLICAS, self.gather, window, length, place, index, count,
+                    angles, np.uint64(self.seed), REPLICAS, window, length, place, index, count,
                     weight, sums,
                 )
             )  # fmt: skip

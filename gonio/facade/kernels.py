@@ -87,7 +87,6 @@ def _entry_points(digest: int) -> tuple[Any, Any, Any]:
         angles,
         seed,
         replicas,
-        gather,
         window,
         length,
         place,
@@ -99,7 +98,7 @@ def _entry_points(digest: int) -> tuple[Any, Any, Any]:
         if digest < 0:
             return 0
         return _trace_rows(
-            g, light, table, patches, chosen, reverse, angles, seed, replicas, gather, window, length, place,
+            g, light, table, patches, chosen, reverse, angles, seed, replicas, window, length, place,
             index, count, weight, sums,
         )  # fmt: skip
 

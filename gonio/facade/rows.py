@@ -52,7 +52,6 @@ def trace_rows(
     angles: Any,
     seed: Any,
     replicas: int,
-    gather: bool,
     window: Any,
     length: Any,
     place: Any,
@@ -62,6 +61,9 @@ def trace_rows(
     sums: Any,
 ) -> int:
     """Trace the points ``window[2] <= i < window[3]`` of the units ``window[0] <= unit < window[1]``.
+
+    Where a ray meets a patch it looks for the sun, instead of leaving that light to the averages of patches:
+    shadows are then as sharp as they are.
 
     Parameters
     ----------
@@ -73,9 +75,6 @@ def trace_rows(
         From `gray.reversed_directions`.
     angles
         From `strip.angle_table`.
-    gather
-        Whether to look for the sun where a ray meets a patch, instead of leaving its light to the averages of
-        patches: shadows are then as sharp as they are.
     length
         (units,) int64, out: number of different patches met.
     place
@@ -164,7 +163,7 @@ def trace_rows(
             count[unit, slot] += 1.0
             cosine = dot(m, s)
             seen = 0.0
-            if gather and light.dni > 0.0 and cosine > 0.0 and s[2] > 0.0:
+            if light.dni > 0.0 and cosine > 0.0 and s[2] > 0.0:
                 rays += 1
                 if not occluded(g, along_ray(p, t, d), s, hit):
                     seen = light.dni * cosine

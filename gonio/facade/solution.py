@@ -85,12 +85,9 @@ def solve(engine: Engine) -> Solution:
         column = rows.FIRST_BAND + rows.PER_BAND * band
         from_sun, from_sky, seen, own_seen = (view.first(column + i) for i in range(rows.PER_BAND))
         given_e = {p: dni * (direct[p] + seen[p]) + dhi * sky[p] for p in direct}
-        if engine.gather:  # sunlight is reflected where the rays look for it, not by the patches
-            given_m = {p: dni * own_seen[p] + dhi * from_sky[p] for p in direct}
-            lit = dni * _added(from_sun, n).mean(axis=1)
-        else:
-            given_m = {p: dni * from_sun[p] + dhi * from_sky[p] for p in direct}
-            lit = np.zeros(n)
+        # sunlight is reflected where the rays look for it, not by the patches
+        given_m = {p: dni * own_seen[p] + dhi * from_sky[p] for p in direct}
+        lit = dni * _added(from_sun, n).mean(axis=1)
         d = view.mean(1 + band)
         system = only = _System(view, band, d, [], given_e, given_m, lit)
         diffuse += only.total() - dni * direct_sum - dhi * sky_sum
