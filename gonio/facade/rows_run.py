@@ -30,6 +30,8 @@ from gonio.facade.solution import Solution, solve
 from gonio.facade.state_file import DIGEST, State, check_digest, digest_of
 from gonio.facade.transport import REPLICAS, Rows
 
+PREPARING = "preparing the engine (compiled on the first use, then kept)"
+
 MOST_PATCHES = 20_000
 """Scenes that need more are for the estimator "paths"."""
 
@@ -143,7 +145,7 @@ class RowsRun:
 
         wanted = [kernels.rows, *([kernels.photons] if self.engine.photons else [])]
         if not all(k.signatures for k in wanted):
-            self.progress(0.0, "preparing the engine (compiled on the first use, then kept)")
+            self.progress(0.0, PREPARING)
             self.engine.warm_up()
 
     def _begin(self, engine: Engine, rays: int, pool: ThreadPoolExecutor) -> None:

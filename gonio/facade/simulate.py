@@ -21,7 +21,8 @@ from gonio.facade.optics import EnergyWarning, excess_text
 from gonio.facade.paths import MAX_RAYS, Progress, available_threads
 from gonio.facade.provenance import now_utc, versions
 from gonio.facade.result import Irradiance
-from gonio.facade.rows_run import RowsRun, suits
+from gonio.facade.reduce import glossy_materials
+from gonio.facade.rows_run import PREPARING, RowsRun, suits
 from gonio.facade.scene import Scene
 from gonio.facade.state_file import State
 
@@ -98,6 +99,8 @@ def simulate(
     notes = [*scene.notes, *light_notes(scene), *_excesses(scene)]
     started_s = time.monotonic()
     threads = threads or available_threads()
+    if progress is not None and _compiles_in_pilots(scene):
+        progress(0.0, PREPARING)
     decided = decide(
         scene, rel_tol, seed=seed, threads=threads, planned=estimator != "backward", full=full, state=state
     )
@@ -147,6 +150,13 @@ def simulate(
             raise
         return result(math.inf, interrupted=True)
     return result(reached, interrupted=False)
+
+
+def _compiles_in_pilots(scene: Scene) -> bool:
+    """Say whether the planner's pilots, which report nothing, will be the first to need the compiler."""
+    from gonio.facade import kernels
+
+    return bool(glossy_materials(scene)) and not kernels.photons.signatures
 
 
 def engine_of(
