@@ -20,8 +20,8 @@ from gonio.facade.lighting import light_notes
 from gonio.facade.optics import EnergyWarning, excess_text
 from gonio.facade.paths import MAX_RAYS, Progress, available_threads
 from gonio.facade.provenance import now_utc, versions
-from gonio.facade.result import Irradiance
 from gonio.facade.reduce import glossy_materials
+from gonio.facade.result import Irradiance
 from gonio.facade.rows_run import PREPARING, RowsRun, suits
 from gonio.facade.scene import Scene
 from gonio.facade.state_file import State
