@@ -71,6 +71,12 @@ class Exchange:
             )
         return np.asarray(found)
 
+    def residual(self, found: FloatArray, given: FloatArray) -> float:
+        """Return the largest component of ``given - (1 - D) found``, in units of the largest of `given`."""
+        largest = float(np.max(np.abs(given), initial=0.0))
+        missed = float(np.max(np.abs(given - found + self._matrix @ found), initial=0.0))
+        return missed / largest if largest > 0.0 else missed
+
     def amplified(self, residuals: FloatArray) -> FloatArray:
         """Return x for many right-hand sides (n, m), to the accuracy that standard errors need."""
         if self._factors is not None:

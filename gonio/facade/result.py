@@ -153,7 +153,7 @@ class ExchangeBalance:
     received_w: float
     escaped_w: float
     standard_error_w: float
-    solver_residual: float = 0.0
+    solver_residual: float
 
     @property
     def difference_w(self) -> float:

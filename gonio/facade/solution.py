@@ -33,6 +33,8 @@ class Solution:
         Total of each band.
     exitance
         (n,) diffuse exitance, all bands.
+    band_exitance
+        (bands, n) diffuse exitance of each band.
     area
         (n,) m2, of what is not hidden.
     balance
@@ -44,7 +46,7 @@ class Solution:
     uneven: tuple[tuple[Matrix, FloatArray, FloatArray], ...]
     bands: tuple[Replicated, ...]
     exitance: FloatArray
-    band_exitance: FloatArray  # (bands, n)
+    band_exitance: FloatArray
     area: FloatArray
     balance: ExchangeBalance
 
@@ -79,6 +81,7 @@ def solve(engine: Engine) -> Solution:
     uneven: list[tuple[Matrix, FloatArray, FloatArray]] = []
     bands: list[Replicated] = []
     exitance = np.zeros((len(engine.channels), n))
+    residual = 0.0
     for band, channel in enumerate(engine.channels):
         dni = _share(channel.light.dni, engine.light.dni)
         dhi = _share(channel.light.dhi, engine.light.dhi)
@@ -98,6 +101,7 @@ def solve(engine: Engine) -> Solution:
         for number, deviation in system.deviations.items():
             deviations[number] = deviations.get(number, 0.0) + deviation
         uneven.append((system.t, *system.jump()))
+        residual = max(residual, system.exchange.residual(system.exitance, system.given))
         exitance[band] = system.exitance + lit
     total = sum(b.each for b in bands)
     specular = total - direct_sum - sky_sum - diffuse if engine.photons else np.zeros_like(diffuse)
@@ -111,7 +115,7 @@ def solve(engine: Engine) -> Solution:
         whole,
         exitance,
         view.area,
-        _balance(view, whole),
+        _balance(view, whole, residual),
     )
 
 
@@ -119,14 +123,16 @@ def _added(parts: dict[int, FloatArray], n: int) -> FloatArray:
     return np.zeros((n, REPLICAS)) + sum(parts.values())
 
 
-def _balance(view: _View, exitance: FloatArray) -> ExchangeBalance:
+def _balance(view: _View, exitance: FloatArray, residual: float) -> ExchangeBalance:
     """Compare what all patches emit with what their rays find, from different rays, again and away."""
     power = exitance * view.area
     received = np.einsum("n,nr->r", view.area, _added(view.applied(0, exitance), len(power)))
     away = [_added(view.first(column), len(power)) for column in (rows.FROM_SKY, rows.FROM_BLACK)]
     escaped = np.einsum("n,nr->r", power, away[0] + away[1])
     error = (received + escaped).std(ddof=1) / np.sqrt(REPLICAS)
-    return ExchangeBalance(float(power.sum()), float(received.mean()), float(escaped.mean()), float(error))
+    return ExchangeBalance(
+        float(power.sum()), float(received.mean()), float(escaped.mean()), float(error), residual
+    )
 
 
 def _share(part: float, whole: float) -> float:

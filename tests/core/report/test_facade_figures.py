@@ -222,7 +222,7 @@ def test_the_page_tells_what_was_left_out_and_how_it_was_made(make_irradiance, p
         omissions=(Omission("the lobe of the ground", 1.25, 0.4, "left"),),
         levels={"hpl": "lobe", "ground": "diffuse"},
         bands=(BandIrradiance(380.0, 500.0, 200.0, 40.0, half), BandIrradiance(500.0, 740.0, 1.0, 2.0, half)),
-        exchange=ExchangeBalance(9000.0, 6000.0, 2990.0, 12.0),
+        exchange=ExchangeBalance(9000.0, 6000.0, 2990.0, 12.0, 2e-15),
         method="rows",
         interrupted=True,
         date="2026-11-24T21:00:00+00:00",
