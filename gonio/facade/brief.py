@@ -77,7 +77,7 @@ class Pilots:
                 if isinstance(part, Photons):
                     part.chance = self._starts[part.source]
                     photons = points * factor * REPLICAS
-                run.engine.add(part, points * factor, pool)
+                run.engine.add_round([(part, points * factor)], pool)
         return outcome_of(run, rel_tol, photons=photons, duration_s=time.monotonic() - started_s)
 
     def first_light(self, material: str) -> FloatArray:

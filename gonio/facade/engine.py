@@ -1,17 +1,19 @@
-"""How are rays spent, and what do they say?  The engine of the estimator "rows".
+"""Which rays have been traced?  The engine of the estimator "rows".
+
+`rows_run` decides how many, `solution` says what they tell.
 
 Independent parts add up, each in 16 randomised replicas:
 
 - transport rows of the patches that belong to receivers, and of all others;
 - photons that the sun, the sky, and the patches' own diffuse light send through lobes.
 
-A round multiplies the points of the part that promises most variance less per ray.  The choice depends on
-counts, never on clocks or threads: a seed gives the same bits on one thread or many.
+What a unit traces depends on seed, patch and point numbers alone: a seed gives the same bits on one thread or
+many.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
@@ -28,8 +30,6 @@ from gonio.facade.scene import Scene
 from gonio.facade.sobol import sobol_directions
 from gonio.facade.starts import chances
 from gonio.facade.transport import REPLICAS, Matrix, Rows, Sparse, scaled, zeros
-
-Progress = Callable[[float, str], None]
 
 Window = tuple[int, int, int, int]
 """First and last unit, first and last point."""
@@ -225,11 +225,23 @@ class Engine:
 
     # -- spending rays
 
-    def add(self, part: Part, points: int, pool: ThreadPoolExecutor) -> None:
-        """Bring the points of every unit of `part` to `points`.
+    def add_round(self, wanted: Sequence[tuple[Part, int]], pool: ThreadPoolExecutor) -> None:
+        """Bring the points of every unit of each part to the number given.
 
-        Nothing is changed when the work is interrupted.
+        Interrupted, all parts are as before: what is stopped in the middle of a round goes on with the same
+        round, and to the same bits.
         """
+        before = [(part, _kept_of(part)) for part, _ in wanted]
+        try:
+            for part, points in wanted:
+                self._add(part, points, pool)
+        except BaseException:
+            for part, kept in before:
+                for key, value in kept.items():
+                    setattr(part, key, value)
+            raise
+
+    def _add(self, part: Part, points: int, pool: ThreadPoolExecutor) -> None:
         if isinstance(part, Rows):
             self._add_rows(part, points, pool)
         elif isinstance(part, Columns):
@@ -324,7 +336,7 @@ class Engine:
             for kind in (Rows, Photons, Columns):
                 part = next((p for p in small.parts if isinstance(p, kind)), None)
                 if part is not None:
-                    small.add(part, 1, pool)
+                    small.add_round([(part, 1)], pool)
 
     def _windows(self, units: int, first: int, last: int) -> list[Window]:
         size = max(1, min(_TASK // max(1, last - first), -(-units // (4 * self.threads))))
@@ -357,6 +369,14 @@ class Engine:
                 while f"{i}.{len(part.rounds)}.start" in state:
                     j = len(part.rounds)
                     part.rounds.append(Sparse(*(np.array(state[f"{i}.{j}.{key}"]) for key in _SPARSE)))
+
+
+def _kept_of(part: Part) -> dict[str, Any]:
+    """Return what a round changes: new arrays take the place of old ones, and lists grow."""
+    kept = {key: getattr(part, key) for key in ("points", "rays", *_KEPT[type(part)])}
+    if not isinstance(part, Photons):
+        kept["rounds"] = list(part.rounds)
+    return kept
 
 
 _KEPT: dict[type, tuple[str, ...]] = {

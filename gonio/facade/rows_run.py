@@ -47,7 +47,6 @@ class _Errors:
     """Of the receiver that needs most, relative to its mean."""
 
     variances: FloatArray  # (parts,)
-    discretisation: float
     total: float
 
 
@@ -63,7 +62,6 @@ class RowsRun:
         seed: int,
         threads: int,
         progress: Progress | None,
-        fineness: Mapping[str, int] | None = None,
     ) -> None:
         self.scene = scene
         self.progress: Progress = progress or (lambda _done, _text: None)
@@ -115,8 +113,8 @@ class RowsRun:
                     if statistical <= (_CLEAR * rel_tol) ** 2:
                         return errors.total
                     wanted = 0.3 * statistical
-                for part, points in self._more(errors.variances, wanted):
-                    self._add(part, points, pool)
+                self.engine.add_round(self._more(errors.variances, wanted), pool)
+                self._forget()
                 between()
 
     def _more(self, variances: FloatArray, wanted: float) -> list[tuple[Part, int]]:
@@ -152,10 +150,10 @@ class RowsRun:
         """Give every part that has none its first points; to rows about as many rays as given, if more."""
         least = sum(len(r.sums) * engine.first_points(r) for r in engine.rows)
         more = 2 ** max(0, round(math.log2(max(rays, 1) / max(least, 1))))
-        for part in engine.parts:
-            if part.points == 0:
-                points = engine.first_points(part) * (more if isinstance(part, Rows) else 1)
-                engine.add(part, points, pool)
+        fresh = [part for part in engine.parts if part.points == 0]
+        engine.add_round(
+            [(p, engine.first_points(p) * (more if isinstance(p, Rows) else 1)) for p in fresh], pool
+        )
 
     def _finer(self, budget: float) -> Engine | None:
         """Return an engine with finer patches where it matters, ``None`` if the patches are fine enough.
@@ -193,10 +191,6 @@ class RowsRun:
             if finer.size > e.size:
                 return finer
         return None
-
-    def _add(self, part: Part, points: int, pool: ThreadPoolExecutor) -> None:
-        self.engine.add(part, points, pool)
-        self._forget()
 
     def _forget(self) -> None:
         self._solved = self._changed = self._average = None
@@ -280,7 +274,7 @@ class RowsRun:
     def _errors(self, omitted: Mapping[str, float]) -> _Errors:
         total = self.totals().value
         variances = np.stack([self._of(p) for p in range(len(self.engine.parts))])
-        worst = _Errors(np.zeros(len(variances)), 0.0, 0.0)
+        worst = _Errors(np.zeros(len(variances)), 0.0)
         for name, cells in self._cells().items():
             weights = cells / max(float(cells.sum()), 1e-300)
             found = float(weights @ total)
@@ -293,7 +287,7 @@ class RowsRun:
             change = self._change(cells) / mean
             sure = math.hypot(math.sqrt(float(own.sum())), change + omitted.get(name, 0.0))
             if sure >= worst.total:
-                worst = _Errors(own, max(change, worst.discretisation), sure)
+                worst = _Errors(own, sure)
         return worst
 
     def _unseen(self, patches: NDArray[np.bool_]) -> FloatArray:
