@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from gonio.facade import layout
 from gonio.facade.layout import FloatArray, Patches
-from gonio.facade.result import CONTRIBUTIONS, Estimate, Receiver
+from gonio.facade.result import CONTRIBUTIONS, EnergyBalance, Estimate, Receiver
 from gonio.facade.scene import Scene
 
 
@@ -44,6 +45,19 @@ def added(parts: Mapping[str, Replicated]) -> Replicated:
     """Return the sum of all contributions."""
     return Replicated(
         np.asarray(sum(p.value for p in parts.values())), np.asarray(sum(p.each for p in parts.values()))
+    )
+
+
+def energy_balance(columns: FloatArray) -> EnergyBalance:
+    """Return the photons' account from its columns (`gonio.facade.layout`), W."""
+    return EnergyBalance(
+        emitted_w=float(columns[layout.EMITTED]),
+        created_w=float(columns[layout.CREATED]),
+        absorbed_w=float(columns[layout.ABSORBED]),
+        under_horizon_w=float(columns[layout.UNDER_HORIZON]),
+        escaped_w=float(columns[layout.ESCAPED]),
+        unfinished_w=float(columns[layout.UNFINISHED]),
+        handed_w=float(columns[layout.HANDED]),
     )
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gonio.facade import layout
-from gonio.facade.collect import Replicated, added, receivers_of
+from gonio.facade.collect import Replicated, added, energy_balance, receivers_of
 from gonio.facade.layout import Light
 from gonio.facade.pack import Packed
 from gonio.facade.result import CONTRIBUTIONS, EnergyBalance, Receiver
@@ -306,15 +306,7 @@ class PathsRun:
         for name in self.chances:
             part = self.parts[name]
             total += part.energy.sum(axis=0) / (part.done * REPLICAS)
-        return EnergyBalance(
-            emitted_w=float(total[layout.EMITTED]),
-            created_w=float(total[layout.CREATED]),
-            absorbed_w=float(total[layout.ABSORBED]),
-            under_horizon_w=float(total[layout.UNDER_HORIZON]),
-            escaped_w=float(total[layout.ESCAPED]),
-            unfinished_w=float(total[layout.UNFINISHED]),
-            handed_w=float(total[layout.HANDED]),
-        )
+        return energy_balance(total)
 
     def lost_w_m2(self) -> float:
         """Return what given-up paths may have carried at most, the worst patch, W/m2."""

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from gonio.facade import grids, layout
-from gonio.facade.collect import Replicated, added, receivers_of
+from gonio.facade import grids
+from gonio.facade.collect import Replicated, added, energy_balance, receivers_of
 from gonio.facade.engine import ENERGIES, Engine, Part, Photons
 from gonio.facade.layout import FloatArray, IntArray
 from gonio.facade.paths import DARK, Progress
@@ -401,15 +401,7 @@ class RowsRun:
                 power = self.solution.band_exitance[part.band] * self.engine.packed.patches.area
                 each = part.energy.reshape(len(part.chosen), REPLICAS, -1).sum(axis=1)
                 total += power[part.chosen] @ each / (max(part.points, 1) * REPLICAS)
-        return EnergyBalance(
-            emitted_w=float(total[layout.EMITTED]),
-            created_w=float(total[layout.CREATED]),
-            absorbed_w=float(total[layout.ABSORBED]),
-            under_horizon_w=float(total[layout.UNDER_HORIZON]),
-            escaped_w=float(total[layout.ESCAPED]),
-            unfinished_w=float(total[layout.UNFINISHED]),
-            handed_w=float(total[layout.HANDED]),
-        )
+        return energy_balance(total)
 
     def lost_w_m2(self) -> float:
         """Return what given-up photons may have carried at most, the worst patch, W/m2."""

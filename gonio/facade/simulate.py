@@ -125,7 +125,7 @@ def simulate(
             converged=reached <= rel_tol,
             rays=run.rays + decided.rays,
             duration_s=duration_s,
-            notes=(*notes, *_afterthoughts(run, reached, rel_tol, interrupted=interrupted)),
+            notes=(*notes, *_afterthoughts(run, reached, rel_tol, max_rays, interrupted=interrupted)),
             omissions=decided.omissions,
             method=run.method,
             levels=decided.levels,
@@ -182,14 +182,15 @@ def _excesses(scene: Scene) -> list[str]:
 
 
 def _afterthoughts(
-    run: RowsRun | BandedPaths, reached: float, rel_tol: float, *, interrupted: bool
+    run: RowsRun | BandedPaths, reached: float, rel_tol: float, max_rays: int, *, interrupted: bool
 ) -> list[str]:
     notes: list[str] = []
     if reached > rel_tol and not interrupted:
+        # the engine of rows also ends where only finer patches would help and there may be no more of them
+        remedy = "allow more rays" if run.rays >= max_rays else 'use estimator = "paths"'
         notes.append(
-            f"stopped after {run.rays:.3g} rays at a relative standard error of {reached:.2g}, above the "
-            f"{rel_tol:g} asked; "
-            "allow more rays or a larger rel_tol"
+            f"stopped after {run.rays:.3g} rays at a relative error of {reached:.2g}, above the {rel_tol:g} "
+            f"asked; {remedy} or a larger rel_tol"
         )
     lost = run.lost_w_m2()
     if lost > 0.0:

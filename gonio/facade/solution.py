@@ -171,7 +171,7 @@ class _View:
         found: dict[int, FloatArray] = {}
         for number, r in enumerate(self.engine.rows):
             full = np.zeros((self.engine.size, REPLICAS))
-            each = spread(r.column(column), r.exposed())[1]
+            each = spread(r.column(column), r.exposed())
             if column in (rows.SUN, rows.SKYLIGHT):
                 each = doubted(each, self._step(r, column))
             full[r.chosen] = each
@@ -202,7 +202,7 @@ class _View:
         found: dict[int, FloatArray] = {}
         for number, r in enumerate(self.engine.rows):
             full = np.zeros((self.engine.size, REPLICAS))
-            full[r.chosen] = spread(r.applied(column, values), r.exposed())[1]
+            full[r.chosen] = spread(r.applied(column, values), r.exposed())
             found[number] = full
         return found
 

@@ -139,8 +139,8 @@ def doubted(each: FloatArray, step: FloatArray) -> FloatArray:
     return np.asarray(each + pattern * np.sqrt(missing)[:, None])
 
 
-def spread(per_replica: FloatArray, exposed: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return mean over all points and its replicas' estimates, (c,) and (c, REPLICAS), of sums over points.
+def spread(per_replica: FloatArray, exposed: FloatArray) -> FloatArray:
+    """Return the replicas' estimates, (c, REPLICAS), of a mean over points from sums over points.
 
     Where coplanar primitives hide a part of a patch the number of points that count is random itself, and the
     mean a ratio; its replicas are those of the linearised ratio.
@@ -149,4 +149,4 @@ def spread(per_replica: FloatArray, exposed: FloatArray) -> tuple[FloatArray, Fl
     safe = np.maximum(points, 1.0)
     mean = per_replica.sum(axis=1) / safe
     each = safe[:, None] / REPLICAS
-    return mean, (per_replica - mean[:, None] * exposed) / each + mean[:, None]
+    return np.asarray((per_replica - mean[:, None] * exposed) / each + mean[:, None])
