@@ -113,15 +113,19 @@ class RowsRun:
                     if statistical <= (_CLEAR * rel_tol) ** 2:
                         return errors.total
                     wanted = 0.3 * statistical
-                self.engine.add_round(self._more(errors.variances, wanted), pool)
+                more = self._more(errors.variances, wanted, max_rays - self.engine.ray_count)
+                if not more:
+                    return errors.total
+                self.engine.add_round(more, pool)
                 self._forget()
                 between()
 
-    def _more(self, variances: FloatArray, wanted: float) -> list[tuple[Part, int]]:
+    def _more(self, variances: FloatArray, wanted: float, most: int) -> list[tuple[Part, int]]:
         """Return which parts get how many points, so that the variances come down to `wanted` together.
 
         The variance v of scrambled Sobol points falls about as r^-1.5 with the rays r; the fewest rays are
-        spent where v/r is the same for all parts.  Growth is rounded to powers of two.
+        spent where v/r is the same for all parts.  Growth is rounded to powers of two, and halved until no
+        more than `most` rays are needed.
         """
         parts = self.engine.parts
         rays = np.array([max(p.rays, 1) for p in parts], np.float64)
@@ -136,6 +140,8 @@ class RowsRun:
         growth = np.minimum(2.0 ** np.rint(np.log2(np.maximum(variances / rays / low, 1.0) ** 0.4)), _LEAP)
         if np.all(growth == 1.0):
             growth[int(np.argmax(variances))] = 2.0
+        while np.any(growth > 1.0) and float(rays @ (growth - 1.0)) > most:
+            growth = np.maximum(growth / 2.0, 1.0)
         return [(p, p.points * int(k)) for p, k in zip(parts, growth, strict=True) if k > 1.0]
 
     def _prepare(self) -> None:

@@ -71,7 +71,7 @@ def simulate(
     full
         Leave nothing out; otherwise the planner leaves out what the tolerance allows, and says it.
     max_rays
-        Stop here at the latest; the result then says that it has not converged.
+        No round begins that would go beyond, after the first; the result then says that it has not converged.
     state
         Of an earlier result of the same scene, seed and estimator, interrupted or finished: its points are
         taken over.  The bits are those of a run that was not stopped.
@@ -187,7 +187,7 @@ def _afterthoughts(
     notes: list[str] = []
     if reached > rel_tol and not interrupted:
         # the engine of rows also ends where only finer patches would help and there may be no more of them
-        remedy = "allow more rays" if run.rays >= max_rays else 'use estimator = "paths"'
+        remedy = "allow more rays" if 2 * run.rays >= max_rays else 'use estimator = "paths"'
         notes.append(
             f"stopped after {run.rays:.3g} rays at a relative error of {reached:.2g}, above the {rel_tol:g} "
             f"asked; {remedy} or a larger rel_tol"
